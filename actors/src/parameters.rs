@@ -168,7 +168,7 @@ fn declare<C: Handle<P>, P: Parameters>(
     let parameters = configured.parameters::<P>(&cell.record.name)?;
     let check = |parameters: &P| parameters.check().map_err(|error| error.to_string());
     let (owner, telling) = (Arc::downgrade(cell), Mutex::new(()));
-    let changed = move |_: &[u8]| {
+    let changed = move || {
         // The last one that is told has been read last, however many threads set parameters. An
         // incarnation that begins later reads them itself.
         let _telling = telling.lock().unwrap_or_else(PoisonError::into_inner);

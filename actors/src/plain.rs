@@ -105,7 +105,7 @@ impl<M: Contract> Actor for Relay<M> {
 
 struct Pass<M: Contract> {
     message: M,
-    answer: Option<Responder<M>>,
+    responder: Option<Responder<M>>,
 }
 
 impl<M: Contract> Message for Pass<M> {
@@ -115,15 +115,15 @@ impl<M: Contract> Message for Pass<M> {
 impl<M: Contract> Handler<Pass<M>> for Relay<M> {
     type Result = ();
 
-    fn handle(&mut self, Pass { message, answer }: Pass<M>, context: &mut Self::Context) {
-        match answer {
+    fn handle(&mut self, Pass { message, responder }: Pass<M>, context: &mut Self::Context) {
+        match responder {
             None => self.0.do_send(ServeRequest(message)),
-            Some(answer) => {
+            Some(responder) => {
                 let served = self.0.send(ServeRequest(message));
                 context.spawn(wrap_future(async move {
                     match served.await {
-                        Ok(reply) => answer.give(reply),
-                        Err(_) => answer.refuse(DeliveryError::Stopped, None),
+                        Ok(reply) => responder.give(reply),
+                        Err(_) => responder.refuse(DeliveryError::Stopped, None),
                     }
                 }));
             }
@@ -136,11 +136,11 @@ struct Outside<M: Contract> {
 }
 
 impl<M: Contract> Outside<M> {
-    fn pass(&self, message: M, answer: Option<Responder<M>>) -> Result<(), SendError<M>> {
+    fn pass(&self, message: M, responder: Option<Responder<M>>) -> Result<(), SendError<M>> {
         if let Some(why) = heartbeat::send_refusal() {
             return Err(SendError::new(why, message));
         }
-        self.relay.try_send(Pass { message, answer }).map_err(|refused| match refused {
+        self.relay.try_send(Pass { message, responder }).map_err(|refused| match refused {
             actix::dev::SendError::Full(Pass { message, .. }) => {
                 SendError::new(DeliveryError::Full, message)
             }
@@ -152,10 +152,6 @@ impl<M: Contract> Outside<M> {
 }
 
 impl<M: Contract> MessageSink<M> for Outside<M> {
-    fn tell(&self, message: M) -> Result<(), SendError<M>> {
-        self.pass(message, None)
-    }
-
     fn offer(&self, message: M) -> Result<(), SendError<M>> {
         self.pass(message, None)
     }
@@ -171,8 +167,8 @@ impl<M: Contract> MessageSink<M> for Outside<M> {
         _: Option<MessageId>,
         _: Option<Duration>,
     ) -> Result<ReplyFuture<M>, RequestError<M>> {
-        let (answer, reply) = Responder::awaited();
-        self.pass(message, Some(answer))?;
+        let (responder, reply) = Responder::awaited();
+        self.pass(message, Some(responder))?;
         Ok(reply)
     }
 }

@@ -12,7 +12,6 @@ use blastema_core::port::{ConnectError, ConnectionRole, PortAddress};
 use blastema_core::{Contract, ContractIdentity, DeliveryError, Event, ObjectName};
 use std::any::TypeId;
 use std::rc::Rc;
-use std::sync::Arc;
 
 /// What a component uses an out port by: a [`Publisher`], a [`Commander`] or a [`Sender`].
 pub trait OutPort: Clone + 'static {
@@ -30,10 +29,7 @@ pub trait OutPort: Clone + 'static {
 
 fn sender<C: Component, M: Contract>(cx: &Context<C>, port: PortAddress) -> Sender<M> {
     let registry = cx.cell.record.environment.registry.clone();
-    Sender(Arc::new(CurrentSender::new(
-        PortReceiver { registry: registry.clone(), port },
-        registry,
-    )))
+    CurrentSender::to(PortReceiver { registry: registry.clone(), port }, registry)
 }
 
 impl<E: Event> OutPort for Publisher<E> {

@@ -15,6 +15,7 @@ pub(crate) mod service_fn;
 
 use crate::messaging::death_watch::{Deaths, Down, DownReason, NumberedEnd, Watchable, Watcher};
 use crate::messaging::sender::Sender;
+use crate::platform::lock;
 use access::AccessControl;
 #[cfg(feature = "network")]
 use blastema_core::net::NodeId;
@@ -30,7 +31,7 @@ use remote::RemoteNames;
 use std::any::{Any, type_name};
 use std::future::Future;
 use std::pin::Pin;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, Weak};
 use std::time::Duration;
 
 /// Gets the encoded reply, or the reason why there is none. Called once, on any thread.
@@ -103,7 +104,7 @@ pub(crate) struct ContractPort {
     pub(crate) identity: ContractIdentity,
     /// Its type, for display.
     named: &'static str,
-    /// A `Sender<M>`.
+    /// A `Sender<M>` for messages `M` of this contract.
     sender: Box<dyn Any + Send + Sync>,
     skeleton: Arc<dyn Skeleton>,
 }
@@ -139,7 +140,7 @@ impl ContractPort {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the name {name} is taken by {by} of this node: names are given once")]
 pub struct NameTaken {
-    /// The name.
+    /// The name that was to be registered.
     pub name: ObjectName,
     /// The kind of its holder: a component, a service, a supervisor, or an object of the
     /// middleware.
@@ -244,7 +245,7 @@ pub(crate) struct Registry(Arc<Mutex<Inner>>);
 
 impl Registry {
     fn lock(&self) -> MutexGuard<'_, Inner> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.0)
     }
 
     /// Names of this node may be written with `node` in front.

@@ -19,7 +19,7 @@ pub enum FaultKind {
     Silence,
     /// A component reported that it is in error.
     ErrorState,
-    /// `on_initialize` failed.
+    /// A component's `on_initialize` failed.
     InitializationFailed,
     /// A component, or its supervisor, declared that this incarnation cannot go on.
     Fatal,
@@ -100,126 +100,77 @@ impl fmt::Display for Severity {
     }
 }
 
+/// What is known of the built-in kinds, in the order of their codes: code, text, severity, and
+/// whether what depends on the place of such a fault suffers from it.
+static BUILT_IN: [(FaultKind, &str, &str, Severity, bool); 27] = {
+    use FaultKind::*;
+    use Severity::{Critical, Error, Warning};
+    [
+        (Panic, "B01", "panic", Error, true),
+        (UnexpectedExit, "B02", "unexpected exit", Error, true),
+        (Hang, "B03", "hang", Error, true),
+        (Silence, "B04", "silence", Error, true),
+        (ErrorState, "B05", "error state", Error, true),
+        (InitializationFailed, "B06", "initialisation failed", Error, true),
+        (Fatal, "B07", "fatal error", Critical, true),
+        (CheckFailed, "B08", "check failed", Warning, false),
+        (Overload, "B09", "overload", Warning, false),
+        (ContractMismatch, "B10", "contract mismatch", Error, false),
+        (LinkDown, "B11", "link down", Error, true),
+        (LinkDegraded, "B12", "link degraded", Warning, false),
+        (NodeLost, "B13", "node lost", Critical, true),
+        (RestartStorm, "B14", "restart storm", Critical, true),
+        (NodeFaulty, "B15", "node faulty", Critical, true),
+        (NameTaken, "B16", "name taken", Error, false),
+        (CommanderGone, "B17", "commander gone", Warning, false),
+        (NodeInSafeState, "B18", "node in safe state", Critical, true),
+        (Unreplicated, "B19", "service unreplicated", Warning, false),
+        (StateLost, "B20", "state lost", Critical, false),
+        (ServiceUnavailable, "B21", "service unavailable", Error, true),
+        (Unavailable, "B22", "unavailable", Error, true),
+        (CrashLoop, "B23", "crash loop", Critical, true),
+        (NodePaused, "B24", "node paused", Warning, false),
+        (Insecure, "B25", "insecure", Warning, false),
+        (Forbidden, "B26", "forbidden", Warning, false),
+        (ConnectionLost, "B27", "connection lost", Error, false),
+    ]
+};
+
 impl FaultKind {
     /// Every built-in kind, in the order of its code.
-    pub const BUILT_IN: [FaultKind; 27] = [
-        FaultKind::Panic,
-        FaultKind::UnexpectedExit,
-        FaultKind::Hang,
-        FaultKind::Silence,
-        FaultKind::ErrorState,
-        FaultKind::InitializationFailed,
-        FaultKind::Fatal,
-        FaultKind::CheckFailed,
-        FaultKind::Overload,
-        FaultKind::ContractMismatch,
-        FaultKind::LinkDown,
-        FaultKind::LinkDegraded,
-        FaultKind::NodeLost,
-        FaultKind::RestartStorm,
-        FaultKind::NodeFaulty,
-        FaultKind::NameTaken,
-        FaultKind::CommanderGone,
-        FaultKind::NodeInSafeState,
-        FaultKind::Unreplicated,
-        FaultKind::StateLost,
-        FaultKind::ServiceUnavailable,
-        FaultKind::Unavailable,
-        FaultKind::CrashLoop,
-        FaultKind::NodePaused,
-        FaultKind::Insecure,
-        FaultKind::Forbidden,
-        FaultKind::ConnectionLost,
-    ];
+    pub fn built_in() -> impl Iterator<Item = &'static FaultKind> {
+        BUILT_IN.iter().map(|(kind, ..)| kind)
+    }
+
+    fn facts(&self) -> Option<&'static (FaultKind, &'static str, &'static str, Severity, bool)> {
+        BUILT_IN.iter().find(|(kind, ..)| kind == self)
+    }
 
     /// The code by which logs, tables and manuals know this kind: `B01` to `B27`, or the
     /// application's own.
     pub fn code(&self) -> &str {
-        match self {
-            FaultKind::Panic => "B01",
-            FaultKind::UnexpectedExit => "B02",
-            FaultKind::Hang => "B03",
-            FaultKind::Silence => "B04",
-            FaultKind::ErrorState => "B05",
-            FaultKind::InitializationFailed => "B06",
-            FaultKind::Fatal => "B07",
-            FaultKind::CheckFailed => "B08",
-            FaultKind::Overload => "B09",
-            FaultKind::ContractMismatch => "B10",
-            FaultKind::LinkDown => "B11",
-            FaultKind::LinkDegraded => "B12",
-            FaultKind::NodeLost => "B13",
-            FaultKind::RestartStorm => "B14",
-            FaultKind::NodeFaulty => "B15",
-            FaultKind::NameTaken => "B16",
-            FaultKind::CommanderGone => "B17",
-            FaultKind::NodeInSafeState => "B18",
-            FaultKind::Unreplicated => "B19",
-            FaultKind::StateLost => "B20",
-            FaultKind::ServiceUnavailable => "B21",
-            FaultKind::Unavailable => "B22",
-            FaultKind::CrashLoop => "B23",
-            FaultKind::NodePaused => "B24",
-            FaultKind::Insecure => "B25",
-            FaultKind::Forbidden => "B26",
-            FaultKind::ConnectionLost => "B27",
-            FaultKind::Custom(code) => code,
-        }
+        self.own().unwrap_or_else(|| self.facts().map_or("", |facts| facts.1))
     }
 
     /// A text that a person understands.
     pub fn text(&self) -> &str {
-        match self {
-            FaultKind::Panic => "panic",
-            FaultKind::UnexpectedExit => "unexpected exit",
-            FaultKind::Hang => "hang",
-            FaultKind::Silence => "silence",
-            FaultKind::ErrorState => "error state",
-            FaultKind::InitializationFailed => "initialisation failed",
-            FaultKind::Fatal => "fatal error",
-            FaultKind::CheckFailed => "check failed",
-            FaultKind::Overload => "overload",
-            FaultKind::ContractMismatch => "contract mismatch",
-            FaultKind::LinkDown => "link down",
-            FaultKind::LinkDegraded => "link degraded",
-            FaultKind::NodeLost => "node lost",
-            FaultKind::RestartStorm => "restart storm",
-            FaultKind::NodeFaulty => "node faulty",
-            FaultKind::NameTaken => "name taken",
-            FaultKind::CommanderGone => "commander gone",
-            FaultKind::NodeInSafeState => "node in safe state",
-            FaultKind::Unreplicated => "service unreplicated",
-            FaultKind::StateLost => "state lost",
-            FaultKind::ServiceUnavailable => "service unavailable",
-            FaultKind::Unavailable => "unavailable",
-            FaultKind::CrashLoop => "crash loop",
-            FaultKind::NodePaused => "node paused",
-            FaultKind::Insecure => "insecure",
-            FaultKind::Forbidden => "forbidden",
-            FaultKind::ConnectionLost => "connection lost",
-            FaultKind::Custom(code) => code,
-        }
+        self.own().unwrap_or_else(|| self.facts().map_or("", |facts| facts.2))
     }
 
     /// Returns the default severity of this kind.
     pub fn severity(&self) -> Severity {
+        self.facts().map_or(Severity::Error, |facts| facts.3)
+    }
+
+    /// Whether a place with this fault no longer serves those that depend on it.
+    pub(crate) fn is_down(&self) -> bool {
+        self.facts().is_some_and(|facts| facts.4)
+    }
+
+    fn own(&self) -> Option<&str> {
         match self {
-            FaultKind::Overload
-            | FaultKind::LinkDegraded
-            | FaultKind::CheckFailed
-            | FaultKind::CommanderGone
-            | FaultKind::Unreplicated
-            | FaultKind::NodePaused
-            | FaultKind::Insecure
-            | FaultKind::Forbidden => Severity::Warning,
-            FaultKind::Fatal
-            | FaultKind::NodeLost
-            | FaultKind::RestartStorm
-            | FaultKind::NodeFaulty
-            | FaultKind::NodeInSafeState
-            | FaultKind::StateLost
-            | FaultKind::CrashLoop => Severity::Critical,
-            _ => Severity::Error,
+            FaultKind::Custom(code) => Some(code),
+            _ => None,
         }
     }
 }

@@ -46,7 +46,7 @@ const RUNG_INTERVAL: Duration = Duration::from_millis(100);
 pub struct CommanderId {
     /// Its name, unique in the robot.
     pub name: String,
-    /// In which incarnation.
+    /// The commander's incarnation.
     pub incarnation: Incarnation,
 }
 
@@ -107,16 +107,16 @@ pub enum LeaseStatus {
     Free,
     /// A commander holds the lease.
     Held {
-        /// Who.
+        /// The commander that holds it.
         commander: CommanderId,
-        /// Under which epoch.
+        /// The epoch of the lease.
         epoch: u64,
         /// How long the lease still holds unless it is renewed.
         left: Duration,
     },
     /// The safe or the stop command is being carried out.
     Settling {
-        /// Who commanded until then.
+        /// The commander whose lease has ended.
         commander: CommanderId,
     },
 }
@@ -127,11 +127,11 @@ pub enum LeaseOutput {
     /// Give the safe command, or the stop command where the cause is [`RestCause::Stopped`], and
     /// tell [`Lease::handle_applied`] what came of it.
     Apply {
-        /// Who commanded until now.
+        /// The commander whose lease ends.
         commander: CommanderId,
-        /// Under which epoch.
+        /// The epoch of the lease.
         epoch: u64,
-        /// Why no longer.
+        /// Why the lease ends.
         cause: RestCause,
         /// It has been tried before.
         again: bool,

@@ -43,7 +43,7 @@ pub mod variables;
 pub use contract::blob::Blob;
 pub use contract::codec::{DecodeError, EncodeError};
 pub use contract::gather_buffer::GatherBuffer;
-pub use contract::layout::description::{DescriptionError, LayoutDescription};
+pub use contract::layout::description::LayoutDescription;
 pub use contract::layout::difference::Difference;
 pub use contract::layout::{Described, Layout};
 pub use contract::previous_version::PreviousVersion;

@@ -19,28 +19,28 @@ pub enum Lifecycle {
     Created,
     /// Ready, and doing nothing.
     Initialized,
-    /// At work.
+    /// The object does its work.
     Active,
     /// A fault stopped its work; `on_reset` may bring it back.
     Error,
     /// This incarnation is over; only `on_finalize` is left to it.
     Fatal,
-    /// The end.
+    /// The incarnation has ended; no state follows.
     Finalized,
 }
 
 /// One way from one state to another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Transition {
-    /// From where.
+    /// The state before the change.
     pub from: Lifecycle,
     /// The hook that was called, or what happened.
     pub by: &'static str,
-    /// To where.
+    /// The state after the change.
     pub to: Lifecycle,
 }
 
-const fn way(from: Lifecycle, by: &'static str, to: Lifecycle) -> Transition {
+const fn transition(from: Lifecycle, by: &'static str, to: Lifecycle) -> Transition {
     Transition { from, by, to }
 }
 
@@ -50,28 +50,28 @@ impl Lifecycle {
     pub const TRANSITIONS: [Transition; 16] = {
         use Lifecycle::{Active, Created, Error, Fatal, Finalized, Initialized};
         [
-            way(Created, "on_initialize", Initialized),
-            way(Created, "on_initialize failed", Fatal),
-            way(Created, "stopped before it was initialised", Finalized),
-            way(Initialized, "on_activated", Active),
-            way(Initialized, "on_activated failed", Error),
-            way(Initialized, "a fatal fault", Fatal),
-            way(Initialized, "on_finalize", Finalized),
-            way(Active, "on_deactivated", Initialized),
-            way(Active, "on_aborting, on_error", Error),
-            way(Active, "a fatal fault", Fatal),
-            way(Active, "on_deactivated, on_finalize", Finalized),
-            way(Error, "on_reset", Initialized),
-            way(Error, "on_reset failed", Fatal),
-            way(Error, "a fatal fault", Fatal),
-            way(Error, "on_finalize", Finalized),
-            way(Fatal, "on_finalize", Finalized),
+            transition(Created, "on_initialize", Initialized),
+            transition(Created, "on_initialize failed", Fatal),
+            transition(Created, "stopped before it was initialised", Finalized),
+            transition(Initialized, "on_activated", Active),
+            transition(Initialized, "on_activated failed", Error),
+            transition(Initialized, "a fatal fault", Fatal),
+            transition(Initialized, "on_finalize", Finalized),
+            transition(Active, "on_deactivated", Initialized),
+            transition(Active, "on_aborting, on_error", Error),
+            transition(Active, "a fatal fault", Fatal),
+            transition(Active, "on_deactivated, on_finalize", Finalized),
+            transition(Error, "on_reset", Initialized),
+            transition(Error, "on_reset failed", Fatal),
+            transition(Error, "a fatal fault", Fatal),
+            transition(Error, "on_finalize", Finalized),
+            transition(Fatal, "on_finalize", Finalized),
         ]
     };
 
     /// Whether one incarnation may change from this state to `next` in one step.
     pub(crate) fn may_become(self, next: Lifecycle) -> bool {
-        Self::TRANSITIONS.iter().any(|way| way.from == self && way.to == next)
+        Self::TRANSITIONS.iter().any(|step| step.from == self && step.to == next)
     }
 
     /// Whether one incarnation may reach `next` from this state in any number of steps.

@@ -14,8 +14,6 @@ pub struct MachineSet<K, M> {
     talking: SortedSet<K>,
     due: SortedSet<(Instant, K)>,
     due_of: SortedMap<K, Instant>,
-    /// Who was spoken to last: the one to suspect when the thread unwinds.
-    last: Option<K>,
 }
 
 impl<K, M> Default for MachineSet<K, M> {
@@ -25,7 +23,6 @@ impl<K, M> Default for MachineSet<K, M> {
             talking: SortedSet::new(),
             due: SortedSet::new(),
             due_of: SortedMap::new(),
-            last: None,
         }
     }
 }
@@ -53,18 +50,12 @@ impl<K: Ord + Copy, M: Machine> MachineSet<K, M> {
     pub fn get_mut(&mut self, key: K) -> Option<&mut M> {
         let member = self.members.get_mut(&key)?;
         self.talking.insert(key);
-        self.last = Some(key);
         Some(member)
     }
 
     /// All members, in the order of their keys.
     pub fn iter(&self) -> impl Iterator<Item = (K, &M)> {
         self.members.iter().map(|(key, member)| (*key, member))
-    }
-
-    /// Who was being served when a panic interrupted the machines.
-    pub fn last(&self) -> Option<K> {
-        self.last
     }
 
     fn settle(&mut self, key: K, due: Option<Instant>) {
@@ -84,7 +75,6 @@ impl<K: Ord + Copy, M: Machine> Machine for MachineSet<K, M> {
 
     fn poll_output(&mut self) -> Option<(K, M::Output)> {
         while let Some(&key) = self.talking.first() {
-            self.last = Some(key);
             let member = self.members.get_mut(&key);
             if let Some(output) = member.and_then(Machine::poll_output) {
                 return Some((key, output));

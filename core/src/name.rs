@@ -26,7 +26,7 @@ pub enum NameError {
     Character {
         /// What was to be parsed.
         text: String,
-        /// The character.
+        /// The character that no name holds.
         found: char,
         /// Its place, in bytes.
         at: usize,
@@ -49,7 +49,7 @@ pub enum NameError {
     Part {
         /// What was to be parsed.
         text: String,
-        /// The part.
+        /// The part that begins wrongly.
         part: String,
         /// Its place, in bytes.
         at: usize,

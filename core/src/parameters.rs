@@ -79,7 +79,7 @@ pub trait Parameters: Variable + Default {
 /// What is declared of one parameter.
 #[derive(Clone, Copy, Debug)]
 pub struct ParameterField {
-    /// Its name.
+    /// The parameter's name.
     pub name: &'static str,
     /// Returns what it takes, in words.
     pub takes: fn() -> String,
@@ -93,7 +93,7 @@ pub struct ParameterField {
 /// What is declared of one parameter, as plain data.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ParameterDescription {
-    /// Its name.
+    /// The parameter's name.
     pub name: String,
     /// What it takes, in words: `a number`.
     pub takes: String,
@@ -117,7 +117,7 @@ pub enum ParameterValue {
     Float(f64),
     /// A text, or the name of a variant.
     Text(String),
-    /// Several values.
+    /// A list of values.
     List(Vec<ParameterValue>),
     /// A value as a file or a command line writes it, such as `12 m` or `[0.1, 0.2] m`: the
     /// parameter's type says how it is read.
@@ -157,7 +157,7 @@ pub enum ParameterError {
     /// The parameter is of another type.
     #[error("`{key}` is {found}, and must be {expected}")]
     Type {
-        /// The parameter.
+        /// The name of the parameter.
         key: String,
         /// The value that was given.
         found: String,
@@ -170,17 +170,17 @@ pub enum ParameterError {
         if found.starts_with('[') { "list" } else { "number" }
     )]
     Unit {
-        /// The parameter.
+        /// The name of the parameter.
         key: &'static str,
         /// The value that was given.
         found: String,
-        /// The unit.
+        /// The unit that it is given in.
         unit: &'static str,
     },
     /// The value lies outside of the parameter's range.
     #[error("`{key}` is {found}, and must be in {range}{}", in_unit(.unit))]
     Range {
-        /// The parameter.
+        /// The name of the parameter.
         key: &'static str,
         /// The value that was given.
         found: String,
@@ -195,9 +195,9 @@ pub enum ParameterError {
         in_unit(.unit)
     )]
     Default {
-        /// The parameter.
+        /// The name of the parameter.
         key: &'static str,
-        /// Its default.
+        /// The default value, as text.
         found: String,
         /// The range, as it is declared.
         range: &'static str,

@@ -24,13 +24,13 @@ use std::str::FromStr;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ConnectionRole {
-    /// Gives events.
+    /// Gives events to those that listen.
     Publishes,
     /// Gives commands to one actuator.
     Commands,
     /// Gives requests, or other messages, to one object.
     Asks,
-    /// Takes events.
+    /// Takes the events of a publisher.
     Listens,
     /// Takes commands: an actuator.
     Commanded,
@@ -90,7 +90,7 @@ impl fmt::Display for ConnectionRole {
 pub struct PortAddress {
     /// The node, if it is named.
     pub node: Option<NodeName>,
-    /// The component.
+    /// The name of the component.
     pub object: ObjectName,
     /// The port of the component.
     pub port: ObjectName,
@@ -197,7 +197,7 @@ impl fmt::Display for PortConnection {
 pub struct PortDescription {
     /// Its name in addresses.
     pub name: String,
-    /// What it does.
+    /// The direction, and what passes through the port.
     pub role: ConnectionRole,
     /// The contract of its messages.
     pub contract: PeerIdentity,
@@ -225,7 +225,7 @@ impl PortDescription {
 /// What a type of components takes and gives, and how it is set.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TypeDescription {
-    /// Its parameters.
+    /// The parameters of its components.
     pub parameters: Vec<ParameterDescription>,
     /// The ports by which messages reach it.
     pub takes: Vec<PortDescription>,
@@ -296,7 +296,7 @@ pub enum ConnectError {
     /// The text names no port.
     #[error("`{text}` names no port: write `COMPONENT#PORT`, as in `laser#scan`")]
     Address {
-        /// The text.
+        /// The text that was given.
         text: String,
     },
     /// A part of an address is no name.
@@ -309,7 +309,7 @@ pub enum ConnectError {
         meant(.nearest.as_ref())
     )]
     NoPort {
-        /// The component.
+        /// The name of the component.
         component: String,
         /// `gives` for out ports, `takes` for the others.
         verb: &'static str,
@@ -328,7 +328,7 @@ pub enum ConnectError {
     Roles {
         /// What the port does at which the connection begins.
         from: ConnectionRole,
-        /// What the other one does.
+        /// The role of the other port.
         to: ConnectionRole,
     },
     /// The contracts of the two ports differ; "here" is where the connection begins.
@@ -340,11 +340,11 @@ pub enum ConnectError {
         handle(*.declared)
     )]
     Handle {
-        /// The port.
+        /// The port that the handle is for.
         port: PortAddress,
-        /// What it does.
+        /// The role of the port.
         declared: ConnectionRole,
-        /// What the handle does.
+        /// The role that the handle needs.
         wanted: ConnectionRole,
     },
     /// Another node makes this connection: that of the end that listens, commands or asks.
@@ -353,13 +353,13 @@ pub enum ConnectError {
         of(.node.as_ref())
     )]
     Elsewhere {
-        /// The node.
+        /// The node of that end, if it is known.
         node: Option<NodeName>,
     },
     /// The two ports are connected; or the out port, which leads to one port at a time, is.
     #[error("the port is connected to {to}: disconnect it first")]
     Taken {
-        /// What it is connected to.
+        /// The port that it is connected to.
         to: PortAddress,
     },
     /// The two ports are not connected.
@@ -368,7 +368,7 @@ pub enum ConnectError {
     /// The node makes as many connections as a node may.
     #[error("this node makes {limit} connections, and no node makes more")]
     TooMany {
-        /// The limit.
+        /// The most connections of a node.
         limit: usize,
     },
     /// There is no such component, or what the port leads to refuses it.

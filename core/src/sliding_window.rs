@@ -92,7 +92,7 @@ impl<T> SlidingWindow<T> {
         }
     }
 
-    /// Forgets everything.
+    /// Removes all events of the window.
     pub fn clear(&mut self) {
         self.events.clear();
     }

@@ -6,17 +6,15 @@
 //! as in Python's `sortedcontainers`, so that an insertion into a large map moves the entries of
 //! one chunk and not all of them.
 
-mod iter;
 mod set;
 
-pub use iter::{Iter, IterMut, Keys};
 pub use set::SortedSet;
 
 use std::borrow::Borrow;
 use std::fmt::{self, Debug};
-use std::iter::Flatten;
+use std::iter::{Chain, Flatten, Map};
 use std::ops::{Bound, Index, RangeBounds};
-use std::{mem, vec};
+use std::{mem, slice, vec};
 
 /// Entries of a chunk at most.
 const CHUNK_MAX: usize = 64;
@@ -30,6 +28,32 @@ pub struct SortedMap<K, V> {
     /// Sorted; none of them is empty.
     chunks: Vec<Vec<(K, V)>>,
     len: usize,
+}
+
+/// The entries of a [`SortedMap`], in order.
+pub type Iter<'a, K, V> = Map<Entries<'a, K, V>, fn(&'a (K, V)) -> (&'a K, &'a V)>;
+/// The keys of a [`SortedMap`], in order.
+pub type Keys<'a, K, V> = Map<Entries<'a, K, V>, fn(&'a (K, V)) -> &'a K>;
+/// The entries of a [`SortedMap`], in order, with values that may be changed.
+pub type IterMut<'a, K, V> =
+    Map<Flatten<slice::IterMut<'a, Vec<(K, V)>>>, fn(&'a mut (K, V)) -> (&'a K, &'a mut V)>;
+
+/// The end of a chunk, whole chunks, and the beginning of one.
+type Entries<'a, K, V> = Chain<
+    Chain<slice::Iter<'a, (K, V)>, Flatten<slice::Iter<'a, Vec<(K, V)>>>>,
+    slice::Iter<'a, (K, V)>,
+>;
+
+fn entry<K, V>((key, value): &(K, V)) -> (&K, &V) {
+    (key, value)
+}
+
+fn key<K, V>((key, _): &(K, V)) -> &K {
+    key
+}
+
+fn entry_mut<K, V>((key, value): &mut (K, V)) -> (&K, &mut V) {
+    (key, value)
 }
 
 /// The index of an entry's chunk, and its index in this chunk.
@@ -75,17 +99,17 @@ impl<K, V> SortedMap<K, V> {
 
     /// All entries in order.
     pub fn iter(&self) -> Iter<'_, K, V> {
-        self.between((0, 0), (self.chunks.len(), 0))
+        self.between((0, 0), (self.chunks.len(), 0)).map(entry as fn(_) -> _)
     }
 
     /// All entries in order, with values that may be changed.
     pub fn iter_mut(&mut self) -> IterMut<'_, K, V> {
-        IterMut(self.chunks.iter_mut().flatten())
+        self.chunks.iter_mut().flatten().map(entry_mut as fn(_) -> _)
     }
 
     /// All keys in order.
     pub fn keys(&self) -> Keys<'_, K, V> {
-        Keys(self.iter())
+        self.between((0, 0), (self.chunks.len(), 0)).map(key as fn(_) -> _)
     }
 
     /// All values in the order of their keys.
@@ -159,18 +183,17 @@ impl<K, V> SortedMap<K, V> {
         Some(self.remove_at((last, self.chunks[last].len() - 1)))
     }
 
-    fn between(&self, from: EntryPosition, to: EntryPosition) -> Iter<'_, K, V> {
+    /// The entries from one position up to another, which is behind them.
+    fn between(&self, from: EntryPosition, to: EntryPosition) -> Entries<'_, K, V> {
         let chunk = |at: usize| self.chunks.get(at).map_or(&[][..], Vec::as_slice);
-        if from.0 >= to.0 {
-            let end = if from.0 == to.0 { to.1.max(from.1) } else { from.1 };
-            let front = chunk(from.0)[from.1..end].iter();
-            return Iter { front, chunks: [].iter(), back: [].iter() };
-        }
-        Iter {
-            front: chunk(from.0)[from.1..].iter(),
-            chunks: self.chunks[from.0 + 1..to.0].iter(),
-            back: chunk(to.0)[..to.1].iter(),
-        }
+        let (front, chunks, back) = match from.0 < to.0 {
+            true => (&chunk(from.0)[from.1..], from.0 + 1..to.0, &chunk(to.0)[..to.1]),
+            false => {
+                let end = if from.0 == to.0 { to.1.max(from.1) } else { from.1 };
+                (&chunk(from.0)[from.1..end], 0..0, &[][..])
+            }
+        };
+        front.iter().chain(self.chunks[chunks].iter().flatten()).chain(back)
     }
 
     fn at(&self, (chunk, at): EntryPosition) -> &(K, V) {
@@ -327,7 +350,7 @@ impl<K: Ord, V> SortedMap<K, V> {
         K: Borrow<Q>,
     {
         let (from, to) = self.bounds(&range);
-        self.between(from, to)
+        self.between(from, to).map(entry as fn(_) -> _)
     }
 
     /// The entries within these bounds, in order, with values that may be changed.
@@ -343,7 +366,7 @@ impl<K: Ord, V> SortedMap<K, V> {
         chunks.flat_map(move |(chunk, entries)| {
             let start = if chunk == from.0 { from.1 } else { 0 };
             let end = if chunk == to.0 { to.1 } else { entries.len() };
-            entries.iter_mut().take(end).skip(start).map(|(key, value)| (&*key, value))
+            entries.iter_mut().take(end).skip(start).map(entry_mut)
         })
     }
 }

@@ -8,7 +8,7 @@ use crate::Instant;
 /// [`handle_timeout`](crate::Machine::handle_timeout) lets those fire that are due. An instant that
 /// is only compared when an input comes is no timer; its name ends in `_until` or `_at`.
 pub(crate) trait Timers {
-    /// Their enumeration.
+    /// The enumeration of the timers.
     type Timer: Copy + 'static;
 
     /// All of them. Of those that are due at once, the earlier in this list fires first.

@@ -50,9 +50,9 @@ pub enum ValueState {
 /// A variable as it stands.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ValueReport {
-    /// The value.
+    /// The encoded value.
     pub value: Bytes,
-    /// Of which change; rises.
+    /// The number of the change that gave the value; rises.
     pub revision: u64,
     /// How far it can be relied on.
     pub state: ValueState,
@@ -66,10 +66,10 @@ pub type VariableKey = (ObjectName, String);
 /// One value to be written.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ValueWrite {
-    /// Where to.
+    /// The variable to write.
     pub variable: VariableKey,
-    /// What.
-    pub value: Bytes,
+    /// What; `None` leaves the value that was there before a decision on it was awaited.
+    pub value: Option<Bytes>,
     /// Only if this is still the variable's revision.
     pub if_revision: Option<u64>,
 }
@@ -88,11 +88,11 @@ pub struct VariableDeclaration<F> {
 /// A value as it is kept for the node's next process.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PersistedValue {
-    /// Whose, and which.
+    /// The variable that had the value.
     pub variable: VariableKey,
     /// Of the contract under which it was written: under another, its bytes mean something else.
     pub fingerprint: u64,
-    /// The value.
+    /// The encoded value.
     pub value: Vec<u8>,
 }
 
@@ -230,13 +230,16 @@ impl<F, W> Variables<F, W> {
         self.watchers.len()
     }
 
-    /// Writes all of these, or none.
+    /// Writes all of these, or none. Where the values decide, a decision must be awaited of each;
+    /// elsewhere of none.
     ///
     /// # Errors
-    /// The first thing that stands in the way; nothing is written then.
+    /// The first thing that stands in the way; nothing is written then. Among others
+    /// [`DeliveryError::Changed`] where no decision is awaited, or not any more.
     pub fn handle_write(
         &mut self,
         writes: Vec<ValueWrite>,
+        decides: bool,
         now: Instant,
     ) -> Result<u64, DeliveryError> {
         if writes.len() > WRITES_MAX {
@@ -244,15 +247,18 @@ impl<F, W> Variables<F, W> {
         }
         for ValueWrite { variable, if_revision, .. } in &writes {
             let entry = self.entries.get(variable).ok_or_else(|| unknown(variable))?;
-            entry.check(variable)?;
-            if if_revision.is_some_and(|wanted| wanted != entry.revision) {
+            if !decides {
+                entry.check(variable)?;
+            }
+            let is_decided = decides && entry.state != ValueState::Undecided;
+            if is_decided || if_revision.is_some_and(|wanted| wanted != entry.revision) {
                 let variable = shown(variable);
                 return Err(DeliveryError::Changed { variable, revision: entry.revision });
             }
         }
         self.last_revision += 1;
         for ValueWrite { variable, value, .. } in writes {
-            self.set(&variable, Some(value), ValueState::Current, now);
+            self.set(&variable, value, ValueState::Current, now);
         }
         Ok(self.last_revision)
     }
@@ -275,29 +281,6 @@ impl<F, W> Variables<F, W> {
         };
         self.last_revision += 1;
         self.set(key, value, state, now);
-    }
-
-    /// A user has decided what a variable is to be: this value, or the one from before.
-    ///
-    /// # Errors
-    /// [`DeliveryError::Unknown`]; [`DeliveryError::Changed`] where no decision is awaited, or not
-    /// any more.
-    pub fn handle_choice(
-        &mut self,
-        variable: &VariableKey,
-        value: Option<Bytes>,
-        now: Instant,
-    ) -> Result<u64, DeliveryError> {
-        let entry = self.entries.get(variable).ok_or_else(|| unknown(variable))?;
-        if entry.state != ValueState::Undecided {
-            return Err(DeliveryError::Changed {
-                variable: shown(variable),
-                revision: entry.revision,
-            });
-        }
-        self.last_revision += 1;
-        self.set(variable, value, ValueState::Current, now);
-        Ok(self.last_revision)
     }
 
     fn set(&mut self, key: &VariableKey, value: Option<Bytes>, state: ValueState, now: Instant) {
@@ -367,7 +350,7 @@ mod tests {
     }
 
     fn write(variable: &str, byte: u8) -> ValueWrite {
-        ValueWrite { variable: key(variable), value: value(byte), if_revision: None }
+        ValueWrite { variable: key(variable), value: Some(value(byte)), if_revision: None }
     }
 
     type Numbered = Variables<(), u64>;
@@ -395,7 +378,7 @@ mod tests {
         ];
         let mut variables = declared(&policies);
         let all = policies.iter().map(|(name, _)| write(name, 7)).collect();
-        variables.handle_write(all, NOW).unwrap();
+        variables.handle_write(all, false, NOW).unwrap();
 
         variables.handle_owner_ended(&ObjectName::new("arm").unwrap(), NOW);
 
@@ -404,7 +387,7 @@ mod tests {
         assert_eq!(now_is(&variables, "height"), Ok((7, ValueState::Held)));
         let undecided = Err(DeliveryError::Undecided { variable: "target of arm".into() });
         assert_eq!(now_is(&variables, "target"), undecided);
-        variables.handle_write(vec![write("height", 8)], NOW).unwrap();
+        variables.handle_write(vec![write("height", 8)], false, NOW).unwrap();
         assert_eq!(now_is(&variables, "height"), Ok((8, ValueState::Current)));
     }
 
@@ -435,15 +418,16 @@ mod tests {
     fn what_awaits_a_decision_is_not_written_until_somebody_has_decided() {
         for (choice, left) in [(None, 7), (Some(value(3)), 3)] {
             let mut variables = declared(&[("target", RestorePolicy::AskFirst)]);
-            variables.handle_write(vec![write("target", 7)], NOW).unwrap();
+            variables.handle_write(vec![write("target", 7)], false, NOW).unwrap();
             variables.handle_owner_ended(&ObjectName::new("arm").unwrap(), NOW);
 
-            let early = variables.handle_write(vec![write("target", 9)], NOW);
+            let early = variables.handle_write(vec![write("target", 9)], false, NOW);
             assert!(matches!(early, Err(DeliveryError::Undecided { .. })), "{early:?}");
-            variables.handle_choice(&key("target"), choice.clone(), NOW).unwrap();
+            let choice = || vec![ValueWrite { value: choice.clone(), ..write("target", 0) }];
+            variables.handle_write(choice(), true, NOW).unwrap();
 
             assert_eq!(now_is(&variables, "target"), Ok((left, ValueState::Current)));
-            let again = variables.handle_choice(&key("target"), choice, NOW);
+            let again = variables.handle_write(choice(), true, NOW);
             assert!(matches!(again, Err(DeliveryError::Changed { .. })), "{again:?}");
         }
     }
@@ -454,15 +438,15 @@ mod tests {
             declared(&[("speed", RestorePolicy::Restore), ("torque", RestorePolicy::Restore)]);
         let before = variables.read(&key("torque"), NOW).unwrap().revision;
 
-        let unknown = variables.handle_write(vec![write("speed", 1), write("heat", 1)], NOW);
+        let unknown = variables.handle_write(vec![write("speed", 1), write("heat", 1)], false, NOW);
         assert!(matches!(unknown, Err(DeliveryError::Unknown { .. })));
         let late = ValueWrite { if_revision: Some(before - 1), ..write("torque", 1) };
-        let changed = variables.handle_write(vec![write("speed", 1), late], NOW);
+        let changed = variables.handle_write(vec![write("speed", 1), late], false, NOW);
         assert!(matches!(changed, Err(DeliveryError::Changed { .. })));
         assert_eq!(now_is(&variables, "speed"), Ok((0, ValueState::Current)));
 
         let right = ValueWrite { if_revision: Some(before), ..write("torque", 1) };
-        variables.handle_write(vec![write("speed", 1), right], NOW).unwrap();
+        variables.handle_write(vec![write("speed", 1), right], false, NOW).unwrap();
         assert_eq!(now_is(&variables, "speed"), Ok((1, ValueState::Current)));
         assert_eq!(now_is(&variables, "torque"), Ok((1, ValueState::Current)));
     }
@@ -474,14 +458,14 @@ mod tests {
 
         variables.handle_watch(1, key("speed"), first, NOW);
         assert_eq!(variables.poll_output(), None);
-        let second = variables.handle_write(vec![write("speed", 1)], NOW).unwrap();
+        let second = variables.handle_write(vec![write("speed", 1)], false, NOW).unwrap();
         let (watcher, result) = variables.poll_output().unwrap();
         assert_eq!((watcher, result.unwrap().revision), (1, second));
-        variables.handle_write(vec![write("speed", 2)], NOW).unwrap();
+        variables.handle_write(vec![write("speed", 2)], false, NOW).unwrap();
         assert_eq!(variables.poll_output(), None);
 
         variables.handle_watch(2, key("speed"), second, NOW);
-        assert_eq!(variables.poll_output().unwrap().1.unwrap().value, value(2));
+        assert_eq!(variables.poll_output().unwrap().1.unwrap().value[..], [2]);
     }
 
     #[test]
@@ -492,7 +476,7 @@ mod tests {
         variables.handle_watch(2, key("speed"), after, NOW);
 
         variables.retain_watchers(|&watcher| watcher != 1);
-        variables.handle_write(vec![write("speed", 1)], NOW).unwrap();
+        variables.handle_write(vec![write("speed", 1)], false, NOW).unwrap();
 
         assert_eq!(variables.poll_output().unwrap().0, 2);
         assert_eq!(variables.poll_output(), None);

@@ -33,7 +33,7 @@ impl Handle<Search> for Map {
     }
 }
 
-/// Counts.
+/// Adds one to the count, and is answered with the count.
 #[derive(Debug, Request)]
 #[contract(name = "counter/count", reply = u32)]
 struct Count;
@@ -79,10 +79,10 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     counter.tell(Count)?; // its thread stands still: this has to wait
 
-    let patience = Duration::from_secs(5);
-    println!("found again: {}", map.ask_within(Search { exists: true }, patience).await?);
+    let timeout = Duration::from_secs(5);
+    println!("found again: {}", map.ask_within(Search { exists: true }, timeout).await?);
     // The counter is restarted on another thread, and the messages that wait for it come along.
-    println!("count {}", counter.ask_within(Count, patience).await?);
+    println!("count {}", counter.ask_within(Count, timeout).await?);
     println!("threads given up: {}", node.abandoned_threads());
     node.shutdown().await;
     Ok(())

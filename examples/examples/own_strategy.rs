@@ -50,10 +50,10 @@ impl RecoveryStrategy for Regrasp {
     async fn carry_out(
         &self,
         order: &RecoveryOrder,
-        tools: &StrategyContext,
+        context: &StrategyContext,
     ) -> Result<RecoveryDone, RecoveryFailed> {
         println!("attempt {} at {}", order.attempt, order.action);
-        let gripper = tools.sender::<Grasp>("gripper").map_err(|why| why.to_string())?;
+        let gripper = context.sender::<Grasp>("gripper").map_err(|why| why.to_string())?;
         match gripper.ask(Grasp).await {
             Ok(true) => Ok(RecoveryDone::default()),
             Ok(false) => Err("it holds nothing".into()),

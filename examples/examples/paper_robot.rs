@@ -79,54 +79,42 @@ macro_rules! breaks {
     };
 }
 
-/// A component that hands on the way that it hears of, at once and at its rate.
-macro_rules! part {
-    ($name:ident) => {
-        struct $name {
-            ahead: f32,
-        }
-
-        impl Default for $name {
-            // As far as it sees, nothing stands in the way.
-            fn default() -> Self {
-                $name { ahead: 9.0 }
-            }
-        }
-
-        impl Component for $name {
-            fn ports(ports: &mut Ports<Self>) {
-                ports.publishes::<Way>("out").accept::<Break>();
-                ports.listen::<Way>().named("in");
-            }
-
-            async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-                cx.port::<Publisher<Way>>("out")?.publish(Way { ahead: self.ahead })?;
-                Ok(())
-            }
-
-            listed!();
-        }
-
-        impl Handle<Way> for $name {
-            async fn handle(&mut self, way: Way, cx: &mut Context<Self>) {
-                self.ahead = way.ahead;
-                if let Err(failure) = self.on_execute(cx).await {
-                    cx.fail(failure);
-                }
-            }
-        }
-
-        breaks!($name);
-    };
+/// A component that hands on the way that it hears of, at once and at its rate: most of the robot.
+struct Part {
+    ahead: f32,
 }
 
-part!(ShortTermMap);
-part!(LongTermMap);
-part!(GlobalPathPlanner);
-part!(PoseFilter);
-part!(LaserSensorModel);
-part!(Odometry);
-part!(Gyro);
+impl Default for Part {
+    // As far as it sees, nothing stands in the way.
+    fn default() -> Self {
+        Part { ahead: 9.0 }
+    }
+}
+
+impl Component for Part {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.publishes::<Way>("out").accept::<Break>();
+        ports.listen::<Way>().named("in");
+    }
+
+    async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        cx.port::<Publisher<Way>>("out")?.publish(Way { ahead: self.ahead })?;
+        Ok(())
+    }
+
+    listed!();
+}
+
+impl Handle<Way> for Part {
+    async fn handle(&mut self, way: Way, cx: &mut Context<Self>) {
+        self.ahead = way.ahead;
+        if let Err(failure) = self.on_execute(cx).await {
+            cx.fail(failure);
+        }
+    }
+}
+
+breaks!(Part);
 
 /// Sees how far the wall ahead is.
 #[derive(Default)]
@@ -229,16 +217,19 @@ impl Handle<Drive> for Motors {
 static DRIVES: LazyLock<watch::Sender<u32>> = LazyLock::new(|| watch::channel(0).0);
 
 fn types() -> Types {
-    Types::new()
-        .component::<ShortTermMap>("ShortTermMap")
-        .component::<LongTermMap>("LongTermMap")
+    let parts = [
+        "ShortTermMap",
+        "LongTermMap",
+        "GlobalPathPlanner",
+        "PoseFilter",
+        "LaserSensorModel",
+        "Odometry",
+        "Gyro",
+    ];
+    let types = parts.into_iter().fold(Types::new(), Types::component::<Part>);
+    types
         .component::<LocalPathPlanner>("LocalPathPlanner")
-        .component::<GlobalPathPlanner>("GlobalPathPlanner")
         .component::<Motors>("Motors")
-        .component::<PoseFilter>("PoseFilter")
-        .component::<LaserSensorModel>("LaserSensorModel")
-        .component::<Odometry>("Odometry")
-        .component::<Gyro>("Gyro")
         .component::<LaserDriver>("LaserDriver")
         .safe_outputs("brakes", |fault| println!("brakes on: {fault}"))
 }

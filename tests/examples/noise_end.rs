@@ -2,7 +2,7 @@
 //! lines of hexadecimal digits on standard input and output. All its keys are fixed.
 #![allow(clippy::print_stdout, reason = "standard output is the wire")]
 
-use blastema_core::net::seal::cipher::{FrameCipher, HandshakeTerms};
+use blastema_core::net::seal::cipher::HandshakeTerms;
 use blastema_core::net::seal::{CipherSuite, NoiseCrypto, SealCrypto};
 use bytes::BytesMut;
 use std::fmt::Write;

@@ -135,7 +135,7 @@ impl Handle<PartParameters> for Part {
     async fn handle(&mut self, _: PartParameters, _: &mut Context<Self>) {}
 }
 
-/// Cannot begin.
+/// Fails in `on_initialize`.
 #[derive(Default)]
 struct Broken;
 

@@ -11,7 +11,7 @@ use blastema::core::net::trust::crypto::Seed;
 use blastema::core::net::trust::key_file::KeyFile;
 use blastema::core::net::trust::policy::Role;
 use blastema::core::net::trust::roster::{NodeRoster, RosterNode};
-use blastema::{ChildSpec, Link, Network, Request};
+use blastema::{ChildSpec, Fault, FaultEvents, Link, Network, Request};
 use std::fmt::Display;
 use std::fs::{self, File, Permissions};
 use std::net::{SocketAddr, TcpListener, UdpSocket};
@@ -20,10 +20,10 @@ use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::str::FromStr;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::sync::watch;
 
-/// A millisecond.
+/// One millisecond: tests write a time as `20 * MS`.
 pub const MS: Duration = Duration::from_millis(1);
 /// How long real nodes may take for what they do, on a computer that is busy with other tests.
 pub const PATIENCE: Duration = Duration::from_secs(120);
@@ -51,6 +51,27 @@ pub async fn found<T>(mut look: impl AsyncFnMut() -> Option<T>, what: &str) -> T
 /// After [`PATIENCE`], with what it should have been.
 pub async fn until(mut is_so: impl AsyncFnMut() -> bool, what: &str) {
     found(async || is_so().await.then_some(()), what).await;
+}
+
+/// The next fault of which this is so.
+///
+/// # Panics
+/// After [`PATIENCE`], with what was looked for.
+pub async fn next_fault(
+    events: &mut FaultEvents,
+    is_it: impl Fn(&Fault) -> bool,
+    what: &str,
+) -> Fault {
+    let next = async || events.next().await.map(|event| event.fault).filter(&is_it);
+    found(next, what).await
+}
+
+/// Keeps its thread for so long.
+pub fn burn(span: Duration) {
+    let begun = Instant::now();
+    while begun.elapsed() < span {
+        std::hint::spin_loop();
+    }
 }
 
 /// The role of a process that was started by a test.

@@ -87,6 +87,18 @@ pub fn moves<S: State, R: Request>(
     })
 }
 
+/// Hooks of a component, each by its method `act`, which gets the name of the hook.
+#[macro_export]
+macro_rules! hooks {
+    ($($hook:ident)+) => {
+        $(
+            async fn $hook(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+                self.act(stringify!($hook), cx).await
+            }
+        )+
+    };
+}
+
 /// What components wrote down, in order. All clones are one.
 #[derive(Debug)]
 pub struct Notes<T>(Arc<Mutex<Vec<T>>>);

@@ -47,7 +47,7 @@ impl FaultInjectorConfig {
 pub struct FaultInjector {
     config: FaultInjectorConfig,
     inner: Transport,
-    outlet: Upstream,
+    upstream: Upstream,
     outgoing: ImpairedDirection<Transmit>,
     incoming: ImpairedDirection<Received>,
     /// Where the transport stands, however the cable is.
@@ -64,7 +64,7 @@ impl FaultInjector {
         let (outgoing, incoming) = (config.seed, !config.seed);
         FaultInjector {
             inner,
-            outlet: Upstream::default(),
+            upstream: Upstream::default(),
             outgoing: ImpairedDirection::new(outgoing, config.limit),
             incoming: ImpairedDirection::new(incoming, config.limit),
             state: None,
@@ -77,7 +77,7 @@ impl FaultInjector {
     /// Stands between the transport and the receiver, who says what connections are worth.
     fn attach_inner(&self, context: &mut Context<Self>) {
         let (frames, reports) = (context.address().recipient(), context.address().recipient());
-        let connections = self.outlet.connections();
+        let connections = self.upstream.connections();
         self.inner.attach.do_send(Attach {
             frames,
             reports,
@@ -88,16 +88,16 @@ impl FaultInjector {
 
     fn announce(&mut self) {
         if self.cut_is_reported {
-            self.outlet.announce_closed("the cable is cut, on purpose: restore it".into());
+            self.upstream.announce_closed("the cable is cut, on purpose: restore it".into());
         } else if let Some(state) = self.state.clone() {
-            self.outlet.announce(state);
+            self.upstream.announce(state);
         }
     }
 }
 
 impl MediumActor for FaultInjector {
-    fn outlet(&mut self) -> &mut Upstream {
-        &mut self.outlet
+    fn upstream(&mut self) -> &mut Upstream {
+        &mut self.upstream
     }
 
     fn open(&mut self, context: &mut Context<Self>) {
@@ -106,9 +106,9 @@ impl MediumActor for FaultInjector {
     }
 
     fn attach(&mut self, message: Attach, context: &mut Context<Self>) {
-        let before = self.outlet.connections();
-        self.outlet.attach(message);
-        if self.outlet.connections() != before {
+        let before = self.upstream.connections();
+        self.upstream.attach(message);
+        if self.upstream.connections() != before {
             self.attach_inner(context);
         }
     }
@@ -130,11 +130,11 @@ impl MediumActor for FaultInjector {
                 self.inner.transmit.do_send(message);
             }
             for turn in 0.. {
-                if self.outlet.poll_capacity(task).is_pending() {
+                if self.upstream.poll_capacity(task).is_pending() {
                     break;
                 }
                 let Some(Received { from, frame }) = self.incoming.poll_output() else { break };
-                self.outlet.deliver(from, frame);
+                self.upstream.deliver(from, frame);
                 if turn == BUDGET {
                     task.waker().wake_by_ref();
                     break;
@@ -191,10 +191,10 @@ impl Handler<TransportReport> for FaultInjector {
             TransportReport::PeerLost { .. }
             | TransportReport::Clash { .. }
             | TransportReport::NoCarrier { .. } => {
-                self.outlet.report(message);
+                self.upstream.report(message);
             }
             TransportReport::Rate { bytes_per_second } => {
-                self.outlet.announce_rate(bytes_per_second);
+                self.upstream.announce_rate(bytes_per_second);
             }
             TransportReport::Opened { .. }
             | TransportReport::Closed { .. }

@@ -115,18 +115,18 @@ pub enum SendResult {
 /// What a medium has to tell.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum MediumEvent {
-    /// A frame.
+    /// A frame has arrived.
     Frame {
-        /// From whom.
+        /// The address of the sender.
         from: MediumAddress,
-        /// Whole.
+        /// The whole frame.
         frame: Bytes,
     },
     /// Something that is no frame: noise on a line, a foreign protocol.
     Refused,
     /// So many frames that the medium had taken are lost, and will not reach whom they were for.
     Lost {
-        /// How many.
+        /// The number of lost frames.
         frames: u64,
     },
     /// The medium is open, but has found that no peer is at its other end.
@@ -136,12 +136,12 @@ pub enum MediumEvent {
     },
     /// Another wants our place on the medium, and does not get it: a user must know.
     Clash {
-        /// Who, and what helps.
+        /// The node that wants it, and what helps.
         text: String,
     },
     /// A connection with this peer is gone (media with connections only).
     PeerLost {
-        /// Who.
+        /// The peer's address on the medium.
         peer: MediumAddress,
     },
 }

@@ -17,9 +17,8 @@ use std::task::{self, Poll};
 /// It lives until it is sent [`Close`](blastema_contract::transport::Close).
 pub struct FrameTransport {
     medium: Box<dyn FrameMedium>,
-    outlet: Upstream,
+    upstream: Upstream,
     reopening: ReopenBackoff,
-    /// Being opened.
     opening: Option<OpenedMedium>,
     open: Option<OpenedMedium>,
     queue: TransmitQueues<(MediumAddress, Bytes)>,
@@ -38,7 +37,7 @@ impl FrameTransport {
     pub fn new(medium: impl FrameMedium) -> Self {
         FrameTransport {
             medium: Box::new(medium),
-            outlet: Upstream::default(),
+            upstream: Upstream::default(),
             reopening: ReopenBackoff::default(),
             opening: None,
             open: None,
@@ -67,9 +66,9 @@ impl FrameTransport {
                     self.reopening.reset();
                     self.open = self.opening.take();
                     let is_probed = false;
-                    self.outlet.announce(TransportReport::Opened { local, mtu, is_probed });
+                    self.upstream.announce(TransportReport::Opened { local, mtu, is_probed });
                     if let Some(rate) = self.medium.bytes_per_second() {
-                        self.outlet.announce_rate(rate);
+                        self.upstream.announce_rate(rate);
                     }
                 }
                 Err(error) => self.lose("cannot be opened", &error),
@@ -82,7 +81,7 @@ impl FrameTransport {
         let name = self.medium.name();
         self.shut();
         self.reopening.failed();
-        self.outlet.announce_closed(format!("{name} {what} ({error}); trying again"));
+        self.upstream.announce_closed(format!("{name} {what} ({error}); trying again"));
     }
 
     /// Says whether the medium is still there.
@@ -107,13 +106,13 @@ impl FrameTransport {
                 Poll::Pending => return true,
                 Poll::Ready(Ok(sending)) => {
                     match sending {
-                        SendResult::Sent => self.outlet.counters.sent += 1,
-                        SendResult::Dropped => self.outlet.counters.dropped += 1,
+                        SendResult::Sent => self.upstream.counters.sent += 1,
+                        SendResult::Dropped => self.upstream.counters.dropped += 1,
                     }
                     self.going = None;
                 }
                 Poll::Ready(Err(error)) => {
-                    self.outlet.counters.errors += 1;
+                    self.upstream.counters.errors += 1;
                     self.lose("is lost", &error);
                     return false;
                 }
@@ -126,31 +125,31 @@ impl FrameTransport {
     /// Says whether the medium is still there.
     fn read(&mut self, task: &mut task::Context<'_>) -> bool {
         for _ in 0..BUDGET {
-            if self.outlet.poll_capacity(task).is_pending() {
+            if self.upstream.poll_capacity(task).is_pending() {
                 return true;
             }
             match self.medium.poll_receive(task) {
                 Poll::Pending => return true,
                 Poll::Ready(Ok(MediumEvent::Frame { from, frame })) => {
-                    self.outlet.deliver(from, frame)
+                    self.upstream.deliver(from, frame)
                 }
-                Poll::Ready(Ok(MediumEvent::Refused)) => self.outlet.counters.refused += 1,
+                Poll::Ready(Ok(MediumEvent::Refused)) => self.upstream.counters.refused += 1,
                 Poll::Ready(Ok(MediumEvent::Lost { frames })) => {
-                    self.outlet.counters.dropped += frames;
-                    self.outlet.counters.errors += 1;
+                    self.upstream.counters.dropped += frames;
+                    self.upstream.counters.errors += 1;
                 }
                 Poll::Ready(Ok(MediumEvent::NoCarrier { reason })) => {
-                    self.outlet.report(TransportReport::NoCarrier { reason });
+                    self.upstream.report(TransportReport::NoCarrier { reason });
                 }
                 Poll::Ready(Ok(MediumEvent::Clash { text })) => {
                     let reason = format!("{}: {text}", self.medium.name());
-                    self.outlet.report(TransportReport::Clash { reason });
+                    self.upstream.report(TransportReport::Clash { reason });
                 }
                 Poll::Ready(Ok(MediumEvent::PeerLost { peer })) => {
-                    self.outlet.report(TransportReport::PeerLost { peer });
+                    self.upstream.report(TransportReport::PeerLost { peer });
                 }
                 Poll::Ready(Err(error)) => {
-                    self.outlet.counters.errors += 1;
+                    self.upstream.counters.errors += 1;
                     self.lose("is lost", &error);
                     return false;
                 }
@@ -162,8 +161,8 @@ impl FrameTransport {
 }
 
 impl MediumActor for FrameTransport {
-    fn outlet(&mut self) -> &mut Upstream {
-        &mut self.outlet
+    fn upstream(&mut self) -> &mut Upstream {
+        &mut self.upstream
     }
 
     fn open(&mut self, _: &mut Context<Self>) {
@@ -174,28 +173,28 @@ impl MediumActor for FrameTransport {
     fn transmit(&mut self, message: Transmit) {
         let Transmit { to, frame, lane } = message;
         if !self.medium.knows(&to) {
-            self.outlet.counters.refused += 1;
+            self.upstream.counters.refused += 1;
             return;
         }
         let Some(OpenedMedium { mtu, .. }) = self.open else {
-            self.outlet.counters.dropped += 1;
+            self.upstream.counters.dropped += 1;
             return;
         };
         let (limits, bytes) = (self.medium.queue(), frame.len());
         if bytes > mtu {
-            self.outlet.counters.refused += 1;
+            self.upstream.counters.refused += 1;
         } else if !self.queue.push(
             lane,
-            ((to, frame.into_bytes()), self.outlet.now()),
+            ((to, frame.into_bytes()), self.upstream.now()),
             bytes,
             limits,
         ) {
-            self.outlet.counters.dropped += 1;
+            self.upstream.counters.dropped += 1;
         }
     }
 
     fn backlog(&self) -> TransmitBacklog {
-        self.queue.backlog(self.going.is_some(), self.outlet.now())
+        self.queue.backlog(self.going.is_some(), self.upstream.now())
     }
 
     fn pump(&mut self, task: &mut task::Context<'_>) {
@@ -213,8 +212,8 @@ impl MediumActor for FrameTransport {
     fn shut(&mut self) {
         (self.opening, self.open) = (None, None);
         self.medium.close();
-        self.outlet.counters.dropped += self.queue.clear();
-        self.outlet.counters.dropped += u64::from(self.going.take().is_some());
+        self.upstream.counters.dropped += self.queue.clear();
+        self.upstream.counters.dropped += u64::from(self.going.take().is_some());
     }
 }
 

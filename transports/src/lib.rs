@@ -3,16 +3,16 @@
 //! A transport is an actor that owns a medium and speaks [`blastema_contract::transport`], nothing
 //! else. Adding a medium is adding one file here. What all of them share:
 //!
-//! * `medium.rs`: an actor's body around a medium. Reading and writing are polled on the actor's
-//!   own arbiter, after its mailbox and with a budget, so that a flooded medium still takes orders.
+//! * `medium.rs`: an actor around a medium. Reading and writing are polled on the actor's own
+//!   arbiter, after its mailbox and with a budget, so that a flooded medium still takes orders.
 //!   After a panic the next incarnation opens at the same address and knows who is attached.
-//! * `outlet.rs`: frames go to the attached receiver, never more than a few hundred unconfirmed; a
-//!   receiver that hangs makes the medium's own buffers overflow, not the process.
-//! * `lanes.rs`: what waits for a medium waits in two lanes, so that hellos and acknowledgements go
-//!   before what is long.
-//! * `reopening.rs`: a medium that cannot be opened is tried again, with back-off.
+//! * `upstream.rs`: frames go to the attached receiver, never more than a few hundred unconfirmed;
+//!   a receiver that hangs makes the medium's own buffers overflow, not the process.
+//! * `transmit_queues.rs`: frames that wait for a medium, in lanes: hellos go first, then
+//!   acknowledgements and other urgent frames.
+//! * `reopen_backoff.rs`: a medium that cannot be opened is tried again, with back-off.
 //! * `can_node.rs`: what CAN sockets and CAN adapters share: messages longer than a frame.
-//! * `binding.rs`, `part.rs`: what the media with sockets share.
+//! * `bound_address.rs`, `frame_split.rs`: what the media with sockets share.
 //!
 //! Deliberately not here: who is a neighbour and whether it lives (the link), what a frame says
 //! (router, session), order and repetition (session).

@@ -59,7 +59,7 @@ impl PollBudget {
 /// An actor that owns a medium. [`transport!`] makes it one that speaks the contract.
 pub(crate) trait MediumActor: Actor<Context = Context<Self>> + Supervised {
     /// Where its frames and reports go, and where it counts.
-    fn outlet(&mut self) -> &mut Upstream;
+    fn upstream(&mut self) -> &mut Upstream;
 
     /// Tries once to open the medium, and announces what came of it.
     fn open(&mut self, context: &mut Context<Self>);
@@ -74,7 +74,7 @@ pub(crate) trait MediumActor: Actor<Context = Context<Self>> + Supervised {
 
     /// Attaches another receiver.
     fn attach(&mut self, message: Attach, _: &mut Context<Self>) {
-        self.outlet().attach(message);
+        self.upstream().attach(message);
     }
 
     /// Takes whose a connection is. A medium without connections has none that could be adopted.
@@ -131,7 +131,7 @@ macro_rules! transport {
                 _: blastema_contract::transport::ReadCounters,
                 _: &mut actix::Context<Self>,
             ) -> Self::Result {
-                let mut counters = crate::medium::MediumActor::outlet(self).counters;
+                let mut counters = crate::medium::MediumActor::upstream(self).counters;
                 counters.backlog = crate::medium::MediumActor::backlog(self);
                 actix::MessageResult(counters)
             }
@@ -152,7 +152,7 @@ macro_rules! transport {
         impl actix::Supervised for $medium {
             fn restarting(&mut self, context: &mut actix::Context<Self>) {
                 crate::medium::MediumActor::shut(self);
-                crate::medium::MediumActor::outlet(self).begin_next_incarnation();
+                crate::medium::MediumActor::upstream(self).begin_next_incarnation();
                 actix::Actor::started(self, context);
             }
         }
@@ -203,7 +203,7 @@ macro_rules! transport {
             ) {
                 crate::medium::MediumActor::close(self);
                 let ended = blastema_contract::transport::TransportReport::Ended;
-                crate::medium::MediumActor::outlet(self).announce(ended);
+                crate::medium::MediumActor::upstream(self).announce(ended);
                 actix::ActorContext::stop(context);
             }
         }

@@ -58,7 +58,7 @@ impl MemoryConfig {
 /// It lives until it is sent [`Close`](blastema_contract::transport::Close).
 pub struct Memory {
     config: MemoryConfig,
-    outlet: Upstream,
+    upstream: Upstream,
     reopening: ReopenBackoff,
     inbox: Option<Arc<Inbox>>,
 }
@@ -68,7 +68,7 @@ impl Memory {
     pub fn new(config: MemoryConfig) -> Self {
         Memory {
             config,
-            outlet: Upstream::default(),
+            upstream: Upstream::default(),
             reopening: ReopenBackoff::default(),
             inbox: None,
         }
@@ -82,10 +82,10 @@ impl Memory {
             self.reopening.reset();
             let local = MediumAddress::Memory(name.clone());
             let (mtu, is_probed) = (*mtu, false);
-            self.outlet.announce(TransportReport::Opened { local, mtu, is_probed });
+            self.upstream.announce(TransportReport::Opened { local, mtu, is_probed });
         } else {
             self.reopening.failed();
-            self.outlet.announce_closed(format!(
+            self.upstream.announce_closed(format!(
                 "the memory end {name} is already open: close the other, or choose another name; \
                  trying again"
             ));
@@ -195,8 +195,8 @@ impl Inbox {
 }
 
 impl MediumActor for Memory {
-    fn outlet(&mut self) -> &mut Upstream {
-        &mut self.outlet
+    fn upstream(&mut self) -> &mut Upstream {
+        &mut self.upstream
     }
 
     fn open(&mut self, _: &mut Context<Self>) {
@@ -206,7 +206,7 @@ impl MediumActor for Memory {
 
     fn transmit(&mut self, message: Transmit) {
         let Transmit { to, frame, .. } = message;
-        let counters = &mut self.outlet.counters;
+        let counters = &mut self.upstream.counters;
         let MediumAddress::Memory(to) = to else {
             counters.refused += 1;
             return;
@@ -233,12 +233,12 @@ impl MediumActor for Memory {
         let Some(inbox) = self.inbox.clone() else { return };
         let mut budget = PollBudget::default();
         while budget.next() {
-            if self.outlet.poll_capacity(task).is_pending() {
+            if self.upstream.poll_capacity(task).is_pending() {
                 return;
             }
             let Some((from, frame)) = inbox.pop(task) else { return };
             budget.spend(frame.len());
-            self.outlet.deliver(MediumAddress::Memory(from), frame);
+            self.upstream.deliver(MediumAddress::Memory(from), frame);
         }
         task.waker().wake_by_ref();
     }

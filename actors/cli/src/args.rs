@@ -379,7 +379,7 @@ pub(crate) enum ComponentJob {
 /// Which component is meant.
 #[derive(Args, Clone, Debug, PartialEq)]
 pub(crate) struct ComponentOptions {
-    /// The component
+    /// The name of the component
     pub(crate) name: String,
     #[command(flatten)]
     pub(crate) to: OrderOptions,
@@ -405,7 +405,7 @@ pub(crate) struct OrderOptions {
 /// Which node is meant, and by way of which one the others are reached.
 #[derive(Args, Clone, Debug, PartialEq)]
 pub(crate) struct NodeOrderOptions {
-    /// The node
+    /// The name of the node
     pub(crate) node: String,
     /// Another node, to connect to, and its address there, such as base@10.0.0.1:7400
     #[arg(long, value_name = "NODE@ADDRESS", value_parser = parse_node_address)]

@@ -62,7 +62,7 @@ fn check_node<'a>(
     Err(format!("nothing is known of a node `{wanted}` here, but of {known}"))
 }
 
-/// The keys are those of a node's picture, where that has the same.
+/// The keys are those of a node's snapshot, where that has the same.
 fn row(entry: &JournalEntry) -> Value {
     let fault = |id: u64| format!("fault {id}");
     let millis = |span: Duration| (span.as_secs_f64() * 1e6).round() / 1e3;
@@ -94,12 +94,12 @@ fn of_nodes(options: &FaultListOptions) -> Result<Vec<Value>, String> {
     let (mut rows, mut nodes) = (Vec::new(), Vec::new());
     for path in &options.sockets {
         let seen = blastema::run(look(path, options.within))?;
-        let node = &seen.picture["node"];
+        let node = &seen.snapshot["node"];
         nodes.extend(node.as_str().map(str::to_owned));
         if options.node.as_ref().is_some_and(|wanted| node.as_str() != Some(wanted)) {
             continue;
         }
-        let Some(faults) = seen.picture["faults"].as_array() else {
+        let Some(faults) = seen.snapshot["faults"].as_array() else {
             return Err(format!(
                 "the node at {} shows itself, but its list of faults did not answer: try again, or \
                  read its journal",

@@ -3,24 +3,34 @@
 use crate::messages::FaultReport;
 use crate::robot::{CABLES, DemoCable, FLOWS, Flow, Module};
 use blastema::{FaultKind, FaultLocation, Injection};
+use serde::Serialize;
 use std::fmt;
 
 /// A fault that the demonstration injects.
-#[derive(Debug)]
+#[derive(Debug, Serialize)]
 pub(crate) struct DemoFault {
     /// Its kind, for the table.
+    #[serde(rename = "fault")]
     pub(crate) title: &'static str,
     /// The module that is struck; of a cable the one at its far end.
+    #[serde(skip)]
     pub(crate) module: Module,
     /// The object that is struck; empty if it is no component.
+    #[serde(skip)]
     pub(crate) object: &'static str,
     /// What is done.
+    #[serde(skip)]
     pub(crate) blow: Blow,
     /// As what the middleware must find it.
+    #[serde(skip)]
     pub(crate) kind: FaultKind,
-    /// What is broken, what the robot does, and what a user sees.
-    pub(crate) story: [&'static str; 3],
-    /// The mark of a note, and the paper's figure in milliseconds.
+    /// What is broken.
+    pub(crate) broken: &'static str,
+    /// What the robot does.
+    pub(crate) robot_does: &'static str,
+    /// What a user sees.
+    pub(crate) user_sees: &'static str,
+    /// The mark of a note, and the paper's mean in milliseconds, if it measured something like it.
     pub(crate) paper: Option<(char, f64)>,
 }
 
@@ -150,12 +160,14 @@ const fn fault(
     blow: Blow,
     kind: FaultKind,
 ) -> DemoFault {
-    DemoFault { title, module, object, blow, kind, story: [""; 3], paper: None }
+    let [broken, robot_does, user_sees] = [""; 3];
+    let paper = None;
+    DemoFault { title, module, object, blow, kind, broken, robot_does, user_sees, paper }
 }
 
 impl DemoFault {
     const fn told(mut self, story: [&'static str; 3]) -> DemoFault {
-        self.story = story;
+        [self.broken, self.robot_does, self.user_sees] = story;
         self
     }
 
@@ -218,8 +230,7 @@ impl DemoFault {
             // Each side loses all that it reached through the other one.
             (Blow::Blackout, _) => (is_kind, is_kind),
             (Blow::Router, FaultLocation::Object(at)) => {
-                let here =
-                    at.node.as_str() == module.name() && at.object.as_str().contains("router");
+                let here = at.node.as_str() == module.name() && at.object.as_str() == "net/stack";
                 (here && is_kind, here)
             }
             (Blow::Kill, FaultLocation::Node(node)) => {
@@ -294,7 +305,7 @@ mod tests {
         check("hang", FaultKind::Panic, object("module2", "laser"), FaultMatch::Foreign);
         check("hang", FaultKind::Hang, object("module2", "operator"), FaultMatch::Foreign);
         check("hang", FaultKind::Hang, object("module1", "laser"), FaultMatch::Foreign);
-        let router = object("module1", "blastema/router");
+        let router = object("module1", "net/stack");
         check("panic in the router", FaultKind::Panic, router.clone(), FaultMatch::Named);
         check("panic", FaultKind::Panic, router, FaultMatch::Foreign);
     }

@@ -53,7 +53,6 @@ pub(crate) struct ModuleReport {
 /// The sending end of a flow.
 #[derive(Clone, Debug, Default, PartialEq, Structure)]
 pub(crate) struct SourceReport {
-    /// The flow.
     pub(crate) flow: String,
     /// How many messages the middleware has accepted.
     pub(crate) sent: u64,
@@ -66,7 +65,6 @@ pub(crate) struct SourceReport {
 /// The receiving end of a flow.
 #[derive(Clone, Debug, Default, PartialEq, Structure)]
 pub(crate) struct SinkReport {
-    /// The flow.
     pub(crate) flow: String,
     /// The process of the source; 0 before the first message.
     pub(crate) source: u64,
@@ -85,15 +83,11 @@ pub(crate) struct SinkReport {
 /// An entry of a node's record of faults.
 #[derive(Clone, Debug, PartialEq, Structure)]
 pub(crate) struct FaultReport {
-    /// Its number.
     pub(crate) id: FaultId,
-    /// Its kind.
     pub(crate) kind: FaultKind,
-    /// Its place.
     pub(crate) location: FaultLocation,
     /// When it was found, in nanoseconds.
     pub(crate) found_at: u64,
-    /// The particulars.
     pub(crate) detail: String,
     /// The fault that it is a consequence of.
     pub(crate) symptom_of: Option<FaultId>,

@@ -1,5 +1,6 @@
 //! The report of a run.
 
+use crate::faults::DemoFault;
 use crate::flow_account::FlowLosses;
 use crate::messages::{FILTERED, FaultReport, UNFILTERED};
 use serde::{Serialize, Serializer};
@@ -7,7 +8,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 /// The report of a run; `--json` prints it.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Serialize)]
 pub(crate) struct Report {
     /// Every fault was found, named rightly and recovered, and no promise was broken.
     pub(crate) promises_kept: bool,
@@ -33,21 +34,15 @@ pub(crate) struct Report {
 }
 
 /// One fault and its recovery.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Serialize)]
 pub(crate) struct FaultRow {
     /// Its number in the run, from 1.
     pub(crate) number: u32,
-    /// The kind of the injected fault.
-    pub(crate) fault: &'static str,
-    /// Where.
+    /// The injected fault, with its story.
+    #[serde(flatten)]
+    pub(crate) fault: &'static DemoFault,
     #[serde(rename = "where")]
     pub(crate) location: String,
-    /// What is broken.
-    pub(crate) broken: &'static str,
-    /// What the robot does.
-    pub(crate) robot_does: &'static str,
-    /// What a user sees.
-    pub(crate) user_sees: &'static str,
     /// The fault as reported by the middleware.
     pub(crate) named: Option<ReportedFault>,
     /// From the fault to its detection.
@@ -63,8 +58,6 @@ pub(crate) struct FaultRow {
     pub(crate) losses: FlowLosses,
     /// Further faults that the modules reported as its consequences.
     pub(crate) symptoms: u64,
-    /// The mark of a note and the paper's mean in milliseconds, if it measured something like it.
-    pub(crate) paper: Option<(char, f64)>,
     /// The broken promises.
     pub(crate) problems: Vec<String>,
 }
@@ -76,10 +69,8 @@ pub(crate) struct ReportedFault {
     pub(crate) code: String,
     /// The kind as text.
     pub(crate) text: String,
-    /// Where.
     #[serde(rename = "where")]
     pub(crate) location: String,
-    /// The particulars.
     pub(crate) detail: String,
 }
 
@@ -101,7 +92,7 @@ pub(crate) struct LatencyRow {
     pub(crate) what: &'static str,
     /// The networks between the modules.
     pub(crate) over: &'static str,
-    /// How many.
+    /// The number of measured messages.
     pub(crate) count: usize,
     /// The mean, the median, what 99 of 100 did not exceed, and the longest.
     #[serde(rename = "mean_median_p99_worst_ms", serialize_with = "all_as_millis")]
@@ -182,7 +173,7 @@ impl Report {
     }
 
     fn has_paper(&self, mark: char) -> bool {
-        self.rows.iter().any(|row| row.paper.is_some_and(|(of, _)| of == mark))
+        self.rows.iter().any(|row| row.fault.paper.is_some_and(|(of, _)| of == mark))
     }
 }
 

@@ -50,7 +50,6 @@ impl DemoCable {
     }
 }
 
-/// Every cable.
 pub(crate) const CABLES: [DemoCable; 4] = [
     DemoCable { name: "ethernet", far: Module::Module2 },
     DemoCable { name: "ieee1394-b", far: Module::Module2 },

@@ -137,9 +137,9 @@ impl Scenario {
                 let (fault, steps) = (trial.fault, FAULTS.len());
                 self.scene = Scene::Trying(Box::new(trial));
                 self.say('>', &format!("{} of {steps}: {fault}", self.number));
-                for (who, story) in ["broken:", "robot: ", "user:  "].into_iter().zip(fault.story) {
-                    self.say(' ', &format!("{who} {story}"));
-                }
+                self.say(' ', &format!("broken: {}", fault.broken));
+                self.say(' ', &format!("robot:  {}", fault.robot_does));
+                self.say(' ', &format!("user:   {}", fault.user_sees));
                 Some(ScenarioOrder::Strike(Strike { fault: self.number - 1, repair: false }))
             }
             Scene::Trying(trial) => {

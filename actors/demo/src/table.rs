@@ -53,7 +53,7 @@ fn faults(report: &Report, columns: u16) -> Table {
         let besides: String = besides.map(|(count, mark)| format!("+{count}{mark} ")).collect();
         [
             row.number.to_string(),
-            row.fault.to_owned(),
+            row.fault.title.to_owned(),
             row.location.clone(),
             row.named.as_ref().map_or("-".into(), |named| format!("{} {}", named.code, named.text)),
             figure(row.detected_after),
@@ -61,7 +61,7 @@ fn faults(report: &Report, columns: u16) -> Table {
             format!("{besides}{lost}"),
             doubled.to_string(),
             row.symptoms.to_string(),
-            row.paper.map(|(mark, figure)| format!("{figure} {mark}")).unwrap_or_default(),
+            row.fault.paper.map(|(mark, figure)| format!("{figure} {mark}")).unwrap_or_default(),
         ]
     }));
     table
@@ -70,8 +70,8 @@ fn faults(report: &Report, columns: u16) -> Table {
 /// Everything that broke a promise, each with its fault.
 fn problems(report: &Report) -> Vec<String> {
     let in_rows = report.rows.iter().flat_map(|row| {
-        let FaultRow { number, fault, location, .. } = row;
-        row.problems.iter().map(move |problem| format!("{number} {fault} in {location}: {problem}"))
+        let FaultRow { number, fault, .. } = row;
+        row.problems.iter().map(move |problem| format!("{number} {fault}: {problem}"))
     });
     in_rows.chain(report.problems.iter().cloned()).collect()
 }
@@ -166,14 +166,10 @@ mod tests {
     fn row(title: &str) -> FaultRow {
         let found = FAULTS.iter().enumerate().find(|(_, fault)| fault.title == title);
         let (at, fault) = found.expect("there is such a fault");
-        let [broken, robot_does, user_sees] = fault.story;
         FaultRow {
             number: at as u32 + 1,
-            fault: fault.title,
+            fault,
             location: fault.place(),
-            broken,
-            robot_does,
-            user_sees,
             named: Some(ReportedFault {
                 code: fault.kind.code().into(),
                 text: fault.kind.text().into(),
@@ -185,7 +181,6 @@ mod tests {
             from_repair: fault.blow == Blow::Blackout,
             losses: FlowLosses::default(),
             symptoms: 0,
-            paper: fault.paper,
             problems: vec![],
         }
     }

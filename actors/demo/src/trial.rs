@@ -220,21 +220,16 @@ impl FaultTrial {
         let found_at = named.map(|report| Instant::from_nanos(report.found_at));
         let struck = self.struck.map(|[first, _]| first);
         let since = |start: Option<Instant>, end: Option<Instant>| Some(end? - start?);
-        let DemoFault { title, story: [broken, robot_does, user_sees], paper, .. } = self.fault;
         FaultRow {
             number: self.number,
-            fault: title,
+            fault: self.fault,
             location: self.fault.place(),
-            broken,
-            robot_does,
-            user_sees,
             named: named.map(ReportedFault::from),
             detected_after: since(struck, found_at),
             recovered_after: since(self.recovery_starts(), self.back_at(robot)),
             from_repair: self.repair != CableRepair::NotNeeded,
             losses,
             symptoms,
-            paper: *paper,
             problems,
         }
     }

@@ -86,8 +86,23 @@ impl<'a> RobotChecker<'a> {
         label: &str,
     ) {
         let place = self.places.find(origin, &part.into()).map(|place| (place, label.to_owned()));
-        let (sentence, help) = (sentence.into(), Some(help.into()));
+        let (sentence, help) = (sentence.into(), help.into());
         self.add(RobotFinding { code, sentence, help, labels: place.into_iter().collect() });
+    }
+
+    /// Finds a name that is none of those that there are.
+    fn known<'n>(
+        &mut self,
+        code: &'static str,
+        what: &str,
+        name: &str,
+        mut known: impl Iterator<Item = &'n str> + Clone,
+        at: (ElementOrigin, &str),
+    ) {
+        let help = hint(name, known.clone());
+        if !known.any(|known| known == name) {
+            self.find(code, format!("there is no {what} `{name}`"), at, help, "unknown");
+        }
     }
 
     /// Adds a finding about one attribute of two elements.
@@ -102,7 +117,7 @@ impl<'a> RobotChecker<'a> {
         let labels = at.into_iter().zip(["first", "again"]).filter_map(|(origin, label)| {
             Some((self.places.find(origin, &part)?, label.to_owned()))
         });
-        let (labels, help) = (labels.collect(), Some(help.to_owned()));
+        let (labels, help) = (labels.collect(), help.to_owned());
         self.add(RobotFinding { code: "robot::twice", sentence, help, labels });
     }
 
@@ -359,8 +374,7 @@ impl<'a> RobotChecker<'a> {
             });
             let start = byte_at(&self.files[file].1, error.line, error.column);
             let (sentence, help) = (error.problem.to_string(), error.suggestion.as_ref());
-            let help =
-                Some(help.map_or("correct the tree".into(), |near| format!("write `{near}`")));
+            let help = help.map_or("correct the tree".into(), |near| format!("write `{near}`"));
             let labels = vec![(FilePlace { file, range: start..start + 1 }, "here".to_owned())];
             self.add(RobotFinding { code: "robot::tree", sentence, help, labels });
         }
@@ -445,10 +459,8 @@ impl<'a> RobotChecker<'a> {
                     Some(known) => known.push((node, end)),
                     None if end.network.is_empty() => {}
                     None => {
-                        let sentence = format!("there is no network `{}`", end.network);
-                        let (at, help) =
-                            ((end.origin, "network"), hint(&end.network, names.clone()));
-                        self.find("robot::network", sentence, at, help, "unknown");
+                        let at = (end.origin, "network");
+                        self.known("robot::network", "network", &end.network, names.clone(), at);
                     }
                 }
             }

@@ -4,7 +4,6 @@ use blastema::core::port::{PortAddress, PortConnection};
 use blastema::detection::Liveness;
 use blastema::recovery::{Ladder, Restart, Strategy, WhenExceeded};
 use blastema::{ActuatorSettings, ClaimPolicy, FaultKind, ProcessSpec, WhenFull};
-use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -23,8 +22,7 @@ impl PartialEq for ElementOrigin {
 }
 
 /// A robot: its networks, nodes and connections.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct RobotDescription {
     /// The robot's name.
     pub name: String,
@@ -34,35 +32,31 @@ pub struct RobotDescription {
     pub keys: Option<PathBuf>,
     /// The answers to faults on every node.
     pub plan: Vec<AnswerDescription>,
-    /// The networks.
+    /// The networks that join its nodes.
     pub networks: Vec<RobotNetwork>,
-    /// The nodes.
+    /// The nodes, one process each.
     pub nodes: Vec<NodeDescription>,
     /// The connections between ports.
     pub connections: Vec<ConnectionDescription>,
     #[doc(hidden)]
-    #[serde(skip)]
     pub origin: ElementOrigin,
 }
 
 /// What is done about one kind of fault.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct AnswerDescription {
-    /// The kind.
+    /// The kind of fault that is answered.
     pub fault: FaultKind,
-    /// The actions.
+    /// The recovery actions, tried in this order.
     pub ladder: Ladder,
     #[doc(hidden)]
-    #[serde(skip)]
     pub origin: ElementOrigin,
 }
 
 /// A network that joins nodes.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct RobotNetwork {
-    /// Its name.
+    /// The network's name, which no other network of the robot has.
     pub name: String,
     /// See [`Network::insecure`](blastema::Network::insecure).
     pub insecure: bool,
@@ -73,15 +67,13 @@ pub struct RobotNetwork {
     /// See [`Link::expected_within`](blastema::Link::expected_within).
     pub expected_within: Option<Duration>,
     #[doc(hidden)]
-    #[serde(skip)]
     pub origin: ElementOrigin,
 }
 
 /// A node's end of a network.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct EndpointDescription {
-    /// The network.
+    /// The name of a [`RobotNetwork`].
     pub network: String,
     /// The medium and the own address, as in [`Network::new`](blastema::Network::new).
     pub at: String,
@@ -90,15 +82,13 @@ pub struct EndpointDescription {
     /// See [`Network::interface`](blastema::Network::interface).
     pub interface: Option<String>,
     #[doc(hidden)]
-    #[serde(skip)]
     pub origin: ElementOrigin,
 }
 
 /// One process of the robot.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct NodeDescription {
-    /// Its name.
+    /// The node's name, which no other node of the robot has.
     pub name: String,
     /// The root supervisor. It has no name of its own.
     pub root: SupervisorDescription,
@@ -128,13 +118,11 @@ pub struct NodeDescription {
     /// The node that starts it as a child of the same name, where one does.
     pub process_of: Option<String>,
     #[doc(hidden)]
-    #[serde(skip)]
     pub origin: ElementOrigin,
 }
 
 /// A supervisor and its children.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct SupervisorDescription {
     /// Its name; empty for a root.
     pub name: String,
@@ -142,7 +130,7 @@ pub struct SupervisorDescription {
     pub strategy: Strategy,
     /// The restarts that are allowed in one period.
     pub intensity: Option<u32>,
-    /// The period.
+    /// The period in which the restarts of `intensity` are counted.
     pub period: Option<Duration>,
     /// What happens when restarts exceed the intensity.
     pub when_exceeded: WhenExceeded,
@@ -151,28 +139,24 @@ pub struct SupervisorDescription {
     /// Its children, in the order in which they start.
     pub children: Vec<ChildDescription>,
     #[doc(hidden)]
-    #[serde(skip)]
     pub origin: ElementOrigin,
 }
 
 /// A child of a supervisor.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Debug, PartialEq)]
 pub enum ChildDescription {
     /// A component.
     Component(Box<ComponentDescription>),
-    /// A supervisor.
+    /// A supervisor below this one, with its own children.
     Supervisor(SupervisorDescription),
 }
 
-/// A component.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+/// A component of a node, and the settings of its [`ChildSpec`](blastema::ChildSpec).
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct ComponentDescription {
-    /// Its name.
+    /// The component's name, which no other object of its node has.
     pub name: String,
     /// The name of its type, as the program has registered it; empty for a tree.
-    #[serde(rename = "type")]
     pub type_name: String,
     /// The file of the behaviour tree that it is.
     pub tree: Option<PathBuf>,
@@ -221,16 +205,13 @@ pub struct ComponentDescription {
     pub process: Option<ProcessSpec>,
     /// The node that this program is, until it stands among the others.
     #[doc(hidden)]
-    #[serde(skip)]
     pub node: Option<Box<NodeDescription>>,
     #[doc(hidden)]
-    #[serde(skip)]
     pub origin: ElementOrigin,
 }
 
 /// Where a device is, and how it is asked for signs of life.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct DeviceSettings {
     /// The endpoint, as in [`DeviceSpec::new`](blastema::DeviceSpec::new).
     pub at: String,
@@ -248,8 +229,7 @@ pub struct DeviceSettings {
 
 /// What a node does when it loses a commander: see
 /// [`LostCommunicationPolicy`](blastema::LostCommunicationPolicy).
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct LostCommunicationDescription {
     /// Its name, and that of its condition.
     pub name: String,
@@ -266,13 +246,11 @@ pub struct LostCommunicationDescription {
     /// A person ends the ladder.
     pub acknowledged: bool,
     #[doc(hidden)]
-    #[serde(skip)]
     pub origin: ElementOrigin,
 }
 
 /// What must be connected.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Debug, PartialEq)]
 pub enum NeedChannel {
     /// Heartbeats arrive on this topic.
     Heartbeat(String),
@@ -285,10 +263,9 @@ pub enum NeedChannel {
 }
 
 /// A channel that must be connected, and how well: see [`Connected`](blastema::Connected).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct NeedDescription {
-    /// The channel.
+    /// What is connected: a topic, a node, a session or a link.
     pub channel: NeedChannel,
     /// How long it may be silent.
     pub timeout: Option<Duration>,
@@ -301,13 +278,11 @@ pub struct NeedDescription {
     /// See [`Connected::max_loss`](blastema::Connected::max_loss).
     pub max_loss: Option<f64>,
     #[doc(hidden)]
-    #[serde(skip)]
     pub origin: ElementOrigin,
 }
 
 /// What a robot does on a rung.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RungAction {
     /// It holds its place, by commands.
     Hold,
@@ -320,8 +295,7 @@ pub enum RungAction {
 }
 
 /// One rung of a ladder.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct RungDescription {
     /// How long after the loss it begins.
     pub after: Duration,
@@ -332,32 +306,26 @@ pub struct RungDescription {
     /// The commands that it gives.
     pub commands: Vec<CommandDescription>,
     #[doc(hidden)]
-    #[serde(skip)]
     pub origin: ElementOrigin,
 }
 
 /// A command: the safe command of an actuator, with other values of some fields.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct CommandDescription {
     /// The port of the actuator.
     pub actuator: PortAddress,
     /// The fields with their values, each with its unit, as in `0.2 m/s`.
     pub fields: Vec<(String, String)>,
     #[doc(hidden)]
-    #[serde(skip)]
     pub origin: ElementOrigin,
 }
 
 /// A connection between an out port and an in port, both with their nodes.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct ConnectionDescription {
     /// The two ports.
-    #[serde(flatten)]
     pub ports: PortConnection,
     #[doc(hidden)]
-    #[serde(skip)]
     pub origin: ElementOrigin,
 }
 
@@ -373,34 +341,6 @@ impl RobotDescription {
         // A description by code may have a circle.
         let ways = std::iter::successors(Some(node), above).take(self.nodes.len() + 1);
         ways.last().unwrap_or(node)
-    }
-
-    /// Parameters whose values are addresses of components: the component, the parameter, the value.
-    pub(crate) fn addresses_in_parameters(&self) -> Vec<(String, &str, &str)> {
-        let is_address = |value: &str| {
-            let (node, object) = value.split_once(':').unwrap_or_default();
-            let object = object.split_once('#').map_or(object, |(object, _)| object);
-            let node = self.node(node);
-            node.is_some_and(|node| node.components().iter().any(|known| known.name == object))
-        };
-        let of_component =
-            |node: &str, component: &ComponentDescription| format!("{node}:{}", component.name);
-        // A list is an address where one of its elements is.
-        let has_address = |value: &str| {
-            value.trim_matches(['[', ']']).split(',').any(|element| is_address(element.trim()))
-        };
-        let mut found = Vec::new();
-        for node in &self.nodes {
-            for component in node.components() {
-                let parameters = component.parameters.iter();
-                found.extend(
-                    parameters.filter(|(_, value)| has_address(value)).map(|(name, value)| {
-                        (of_component(&node.name, component), &**name, &**value)
-                    }),
-                );
-            }
-        }
-        found
     }
 
     /// The file of a node's key.
@@ -437,6 +377,14 @@ impl SupervisorDescription {
                 supervisor.visit(visit);
             }
         }
+    }
+
+    /// Whether something below it is so.
+    pub(crate) fn any(&self, is_so: &impl Fn(&ChildDescription) -> bool) -> bool {
+        self.children.iter().any(|child| match child {
+            ChildDescription::Supervisor(below) => is_so(child) || below.any(is_so),
+            ChildDescription::Component(_) => is_so(child),
+        })
     }
 
     /// Changes everything below it; what is refused is removed.

@@ -79,8 +79,7 @@ impl<'a> RobotElement<'a> {
         match parse(&text) {
             Ok(value) => Some(value),
             Err(error) => {
-                let at = [(attribute.range_value(), error.label)];
-                self.find("robot::value", error.sentence, at, Some(error.help));
+                self.find("robot::value", attribute.range_value(), error);
                 None
             }
         }
@@ -94,8 +93,11 @@ impl<'a> RobotElement<'a> {
     ) -> Option<T> {
         if self.node.attribute(name).is_none() {
             let sentence = format!("`{}` has no `{name}`", self.name());
-            let at = [(tag_name(self.node), "here".to_owned())];
-            self.find("robot::missing", sentence, at, Some(format!("add `{name}=\"…\"`")));
+            self.find(
+                "robot::missing",
+                tag_name(self.node),
+                ValueError::new(sentence, "here", format!("add `{name}=\"…\"`")),
+            );
         }
         self.take(name, parse)
     }
@@ -108,11 +110,10 @@ impl<'a> RobotElement<'a> {
     /// The path that is the value of an attribute.
     pub(crate) fn path(&self, name: &'static str) -> Option<PathBuf> {
         self.take(name, |text| match text {
-            "" => Err(ValueError {
-                sentence: format!("`{name}` is empty"),
-                label: "a path".to_owned(),
-                help: "write a path, or delete it".to_owned(),
-            }),
+            "" => {
+                let sentence = format!("`{name}` is empty");
+                Err(ValueError::new(sentence, "a path", "write a path, or delete it"))
+            }
             text => Ok(self.reading.root.join(text)),
         })
     }
@@ -165,7 +166,10 @@ impl<'a> RobotElement<'a> {
 
     fn twice(&self, sentence: String, [first, again]: [Range<usize>; 2]) {
         let at = [(first, "first".to_owned()), (again, "again".to_owned())];
-        self.find("robot::twice", sentence, at, Some("delete one".to_owned()));
+        let file = self.reading.file;
+        let labels = at.into_iter().map(|(range, label)| (FilePlace { file, range }, label));
+        let (labels, help) = (labels.collect(), "delete one".to_owned());
+        self.add(RobotFinding { code: "robot::twice", sentence, help, labels });
     }
 
     /// Counts components, as many as this element makes. False, and a finding, where the robot has
@@ -174,9 +178,9 @@ impl<'a> RobotElement<'a> {
         let before = self.reading.components.replace(self.reading.components.get() + made);
         if before <= most && before + made > most {
             let sentence = format!("the robot has more than {most} components");
-            let at = [(self.place("copies"), "one too many".to_owned())];
             let help = "write fewer, or make one component of many that are alike";
-            self.find("robot::limit", sentence, at, Some(help.to_owned()));
+            let error = ValueError::new(sentence, "one too many", help);
+            self.find("robot::limit", self.place("copies"), error);
         }
         before + made <= most
     }
@@ -192,17 +196,14 @@ impl<'a> RobotElement<'a> {
         RobotElement::new(self.node, self.reading, Some(copy))
     }
 
-    /// Adds a finding about this element.
-    pub(crate) fn find(
-        &self,
-        code: &'static str,
-        sentence: String,
-        at: impl IntoIterator<Item = (Range<usize>, String)>,
-        help: Option<String>,
-    ) {
-        let file = self.reading.file;
-        let labels = at.into_iter().map(|(range, label)| (FilePlace { file, range }, label));
-        let finding = RobotFinding { code, sentence, help, labels: labels.collect() };
+    /// Adds a finding about a place in this element.
+    pub(crate) fn find(&self, code: &'static str, range: Range<usize>, error: ValueError) {
+        let ValueError { sentence, label, help } = error;
+        let labels = vec![(FilePlace { file: self.reading.file, range }, label)];
+        self.add(RobotFinding { code, sentence, help, labels });
+    }
+
+    fn add(&self, finding: RobotFinding) {
         let mut findings = self.reading.findings.borrow_mut();
         // A copy has the mistakes of the one before.
         if !findings.contains(&finding) {
@@ -230,8 +231,8 @@ impl<'a> RobotElement<'a> {
             let Some((name, behind)) = behind.split_once('}') else {
                 let help =
                     format!("write `${{{behind}}}`; for a plain dollar sign and brace `$${{`");
-                let at = [(range, "begins here".to_owned())];
-                self.find("robot::argument", format!("`${{{behind}` does not end"), at, Some(help));
+                let sentence = format!("`${{{behind}` does not end");
+                self.find("robot::argument", range, ValueError::new(sentence, "begins here", help));
                 return None;
             };
             let copy = self.copy.filter(|_| name == "copy");
@@ -249,7 +250,7 @@ impl<'a> RobotElement<'a> {
                     let declared = if declared.is_empty() { "none" } else { &declared };
                     let help = format!("{help}; declared are {declared}");
                     let sentence = format!("there is no argument `{name}`");
-                    self.find("robot::argument", sentence, [(range, "unknown".into())], Some(help));
+                    self.find("robot::argument", range, ValueError::new(sentence, "unknown", help));
                     return None;
                 }
             }
@@ -264,8 +265,8 @@ impl<'a> RobotElement<'a> {
         if NOT_YET.split(' ').any(|known| known == name) {
             let sentence = format!("`{name}` is not known yet");
             let help = format!("delete it: this version does not read the {what} `{name}`");
-            let at = [(range, "not known yet".to_owned())];
-            return self.find("robot::not-yet", sentence, at, Some(help));
+            let error = ValueError::new(sentence, "not known yet", help);
+            return self.find("robot::not-yet", range, error);
         }
         let mut all = known.to_vec();
         all.sort_unstable();
@@ -275,7 +276,7 @@ impl<'a> RobotElement<'a> {
             (None, false) => format!("delete it; there are {}", all.join(", ")),
         };
         let sentence = format!("`{name}` is not an {what} of `{of}`");
-        self.find("robot::unknown", sentence, [(range, "unknown".to_owned())], Some(help));
+        self.find("robot::unknown", range, ValueError::new(sentence, "unknown", help));
     }
 }
 
@@ -303,17 +304,17 @@ impl Drop for RobotElement<'_> {
                 self.unknown("element", name, tag_name(node), &children);
             } else if node.is_element() && node.tag_name().namespace().is_some() {
                 let sentence = format!("`{name}` is of another namespace");
-                let at = [(tag_name(node), "here".to_owned())];
                 let help = "delete its `xmlns`: the elements of a robot file have none";
-                self.find("robot::unknown", sentence, at, Some(help.into()));
+                let error = ValueError::new(sentence, "here", help);
+                self.find("robot::unknown", tag_name(node), error);
             } else if node.is_text() && node.text().is_some_and(|text| !text.trim().is_empty()) {
                 let range = node.range();
                 let text = &self.reading.text[range.clone()];
                 let start = range.start + (text.len() - text.trim_start().len());
-                let at = [(start..start + text.trim().len(), "text".to_owned())];
+                let place = start..start + text.trim().len();
                 let sentence = format!("`{}` holds no text", self.name());
                 let help = "delete it, or make it a comment: `<!-- … -->`";
-                self.find("robot::unknown", sentence, at, Some(help.into()));
+                self.find("robot::unknown", place, ValueError::new(sentence, "text", help));
             }
         }
         #[cfg(test)]

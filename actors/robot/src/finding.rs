@@ -21,7 +21,7 @@ const BESIDE_MAX: usize = 80;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct FilePlace {
     pub(crate) file: usize,
-    /// In bytes.
+    /// In bytes from the start of the file.
     pub(crate) range: Range<usize>,
 }
 
@@ -33,7 +33,7 @@ pub(crate) struct RobotFinding {
     /// What is wrong.
     pub(crate) sentence: String,
     /// What to write instead.
-    pub(crate) help: Option<String>,
+    pub(crate) help: String,
     pub(crate) labels: Vec<(FilePlace, String)>,
 }
 
@@ -193,10 +193,10 @@ fn shown(finding: &RobotFinding, sources: &RobotSources) -> Report {
     });
     let elsewhere =
         elsewhere.into_iter().map(|(place, label)| format!("{label}: {}", sources.name(place)));
-    let help: Vec<String> = finding.help.iter().cloned().chain(elsewhere).collect();
+    let help = std::iter::once(finding.help.clone()).chain(elsewhere);
     let mut shown =
         MietteDiagnostic::new(&finding.sentence).with_code(finding.code).with_labels(labels);
-    shown.help = (!help.is_empty()).then(|| help.join("\n"));
+    shown.help = Some(help.collect::<Vec<_>>().join("\n"));
     match file.map(|file| &sources.files[file]) {
         Some((name, text)) => {
             Report::new(shown).with_source_code(NamedSource::new(name, ClippedSource(text.clone())))

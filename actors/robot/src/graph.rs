@@ -15,9 +15,9 @@ use blastema::recovery::Strategy;
 pub(crate) enum GraphFormat {
     /// An indented tree
     Text,
-    /// For Graphviz
+    /// The language of Graphviz
     Dot,
-    /// For Mermaid
+    /// The language of Mermaid
     Mermaid,
 }
 

@@ -18,14 +18,17 @@ use blastema::core::port::PortAddress;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
+/// The command line by which this program runs the file with these values of its arguments.
+pub(crate) fn run_arguments(file: &Path, set: &[(String, String)]) -> Vec<OsString> {
+    let set = set.iter().map(|(name, value)| OsString::from(format!("--set={name}={value}")));
+    [OsString::from("run"), file.into()].into_iter().chain(set).collect()
+}
+
 /// Makes a node of each process that holds components, and has addresses follow these.
 ///
 /// The processes run this program again with this file and these values of its arguments.
 pub(crate) fn make_nodes(robot: &mut RobotDescription, file: &Path, set: &[(String, String)]) {
-    let mut run = vec![OsString::from("run"), file.into()];
-    for (name, value) in set {
-        run.extend(["--set".into(), OsString::from(format!("{name}={value}"))]);
-    }
+    let run = run_arguments(file, set);
     // Those of a process are behind it, and are found in their turn.
     let mut at = 0;
     while at < robot.nodes.len() {
@@ -94,9 +97,9 @@ fn socket_of(robot: &str, node: &str) -> PathBuf {
 
 /// Has addresses name the node, or the process of it, in which their component stands.
 fn follow(robot: &mut RobotDescription) {
-    let places = ObjectPlaces::of(robot);
-    let node_of = |node: &str, object: &str| match &places.candidates(node, object)[..] {
-        [only] if *only != node => Some((*only).to_owned()),
+    let known = robot.clone();
+    let node_of = |node: &str, object: &str| match candidates(&known, node, object)[..] {
+        [only] if only != node => Some(only.to_owned()),
         _ => None,
     };
     let port = |address: &mut PortAddress| {
@@ -116,7 +119,8 @@ fn follow(robot: &mut RobotDescription) {
             let ChildDescription::Component(component) = child else { return true };
             for needed in &mut component.depends_on {
                 let (node, object) = needed.split_once(':').unwrap_or((&own, needed));
-                if places.holds_any(node, object) {
+                let is_it = |child: &ChildDescription| child.identity().0 == object;
+                if known.node(node).is_some_and(|node| node.root.any(&is_it)) {
                     continue;
                 }
                 if let Some(other) = node_of(node, object) {
@@ -128,65 +132,20 @@ fn follow(robot: &mut RobotDescription) {
     }
 }
 
-/// Where objects stand.
-struct ObjectPlaces(Vec<NodeObjects>);
-
-/// A node and what is in it.
-struct NodeObjects {
-    node: String,
-    /// The node of which it is a process, or itself.
-    whole: String,
-    /// The components that may have ports.
-    components: Vec<String>,
-    objects: Vec<String>,
-}
-
-impl NodeObjects {
-    fn has(&self, object: &str) -> bool {
-        self.components.iter().any(|known| known == object)
-    }
-}
-
-impl ObjectPlaces {
-    fn of(robot: &RobotDescription) -> Self {
-        let place = |node: &NodeDescription| {
-            let components = node.components().into_iter();
-            let with_ports = components.filter(|component| component.process.is_none());
-            let mut objects = Vec::new();
-            node.root.visit(&mut |child| objects.push(child.identity().0.to_owned()));
-            NodeObjects {
-                node: node.name.clone(),
-                whole: robot.whole_of(&node.name).to_owned(),
-                components: with_ports.map(|component| component.name.clone()).collect(),
-                objects,
-            }
-        };
-        ObjectPlaces(robot.nodes.iter().map(place).collect())
-    }
-
-    fn node(&self, node: &str) -> Option<&NodeObjects> {
-        self.0.iter().find(|place| place.node == node)
-    }
-
-    /// Whether the node has any object of this name.
-    fn holds_any(&self, node: &str, object: &str) -> bool {
-        let place = self.node(node);
-        place.is_some_and(|place| place.objects.iter().any(|known| known == object))
-    }
-
-    /// The node, if it has a component of this name, or else those of its family that have one.
-    fn candidates(&self, node: &str, object: &str) -> Vec<&str> {
-        let Some(own) = self.node(node) else { return Vec::new() };
-        if own.has(object) {
-            return vec![&own.node];
-        }
-        let family = self.0.iter().filter(|place| place.whole == own.whole && place.has(object));
-        family.map(|place| &*place.node).collect()
-    }
-}
-
-/// The nodes of the family of this node that have a component of this name.
-pub(crate) fn candidates(robot: &RobotDescription, node: &str, object: &str) -> Vec<String> {
-    let places = ObjectPlaces::of(robot);
-    places.candidates(node, object).into_iter().map(str::to_owned).collect()
+/// The node, if it has a component of this name with ports, or else those of its family that have
+/// one: the processes of one node, and that node.
+pub(crate) fn candidates<'r>(
+    robot: &'r RobotDescription,
+    node: &'r str,
+    object: &str,
+) -> Vec<&'r str> {
+    let is_it = |child: &ChildDescription| match child {
+        ChildDescription::Component(known) => known.name == object && known.process.is_none(),
+        ChildDescription::Supervisor(_) => false,
+    };
+    let whole = robot.whole_of(node);
+    let having = robot.nodes.iter().filter(|known| known.root.any(&is_it));
+    let names = having.map(|known| &*known.name).filter(|of| robot.whole_of(of) == whole);
+    let names: Vec<_> = names.collect();
+    if names.contains(&node) { vec![node] } else { names }
 }

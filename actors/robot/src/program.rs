@@ -5,12 +5,12 @@ use crate::description::RobotDescription;
 use crate::finding::{RobotFinding, report};
 use crate::graph::{GraphFormat, graph};
 use crate::launch::{FAILED, Launch, LaunchFailure, NOT_UP};
+use crate::own_process::run_arguments;
 use crate::reader::{self, RobotReading};
 use crate::types::Types;
 use blastema::NodeState;
 use clap::{Parser, Subcommand};
 use serde_json::json;
-use std::ffi::OsString;
 use std::fmt;
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
@@ -87,7 +87,7 @@ enum RobotCommand {
     Graph {
         #[command(flatten)]
         file: FileArguments,
-        /// The format
+        /// The format of the graph
         #[arg(long, value_enum, default_value = "text")]
         format: GraphFormat,
     },
@@ -123,6 +123,13 @@ fn print(text: &str) -> ExitCode {
 
 fn complain(text: &str) {
     let _ = writeln!(io::stderr().lock(), "{}", text.trim_end());
+}
+
+/// Says why a robot has not run to its end, if it has not.
+fn ended(ran: Result<(), LaunchFailure>) -> ExitCode {
+    let Err(LaunchFailure { status, reason }) = ran else { return ExitCode::SUCCESS };
+    complain(&reason);
+    ExitCode::from(status)
 }
 
 impl Types {
@@ -185,12 +192,6 @@ impl Types {
                 self.run(&file, node.as_deref(), until_stdin_ends)
             }
             RobotCommand::Check { file } => self.with_robot(&file, |robot| {
-                for (component, parameter, value) in robot.addresses_in_parameters() {
-                    complain(&format!(
-                        "warning: the parameter `{parameter}` of {component} is the address `{value}`, \
-                         which does not follow the component to another node: use a port and `connect`"
-                    ));
-                }
                 let components: usize =
                     robot.nodes.iter().map(|node| node.components().len()).sum();
                 let (name, nodes) = (&robot.name, robot.nodes.len());
@@ -237,17 +238,8 @@ impl Types {
                 ));
                 return ExitCode::from(UNREADABLE);
             }
-            let mut arguments = vec![OsString::from("run"), file.file.clone().into()];
-            for (name, value) in &file.set {
-                arguments.extend(["--set".into(), OsString::from(format!("{name}={value}"))]);
-            }
-            match blastema::run(Launch { nodes: names, arguments }.run()) {
-                Ok(()) => ExitCode::SUCCESS,
-                Err(LaunchFailure { status, reason }) => {
-                    complain(&reason);
-                    ExitCode::from(status)
-                }
-            }
+            let arguments = run_arguments(&file.file, &file.set);
+            ended(blastema::run(Launch { nodes: names, arguments }.run()))
         })
     }
 
@@ -278,13 +270,10 @@ impl Types {
             }
             builder.run_until(end).await.map_err(|error| (NOT_UP, error.to_string()))
         });
-        match ran {
-            Ok(()) => ExitCode::SUCCESS,
-            Err((status, error)) => {
-                complain(&format!("node {name}: {error}"));
-                ExitCode::from(status)
-            }
-        }
+        ended(ran.map_err(|(status, error)| LaunchFailure {
+            status,
+            reason: format!("node {name}: {error}"),
+        }))
     }
 
     /// An endpoint that other computers reach.

@@ -9,7 +9,7 @@ use crate::description::{
 use crate::element::{ArgumentValues, FileReading, RobotElement};
 use crate::finding::{FilePlace, RobotFinding, RobotSources};
 use crate::own_process::make_nodes;
-use crate::value::{self, ParsedValue, hint};
+use crate::value::{self, ParsedValue, ValueError, hint};
 use blastema::core::port::{ConnectError, PortAddress, PortConnection};
 use blastema::detection::{Liveness, Pull, Push};
 use blastema::recovery::{Backoff, Ladder, RecoveryAction, Restart, Strategy, WhenExceeded};
@@ -124,10 +124,13 @@ impl RobotReader<'_> {
         if root.name() != "robot" || namespace.is_some() {
             let namespace = namespace.map(|of| format!(" of the namespace `{of}`"));
             let (name, namespace) = (root.name(), namespace.unwrap_or_default());
-            let at = [(crate::finding::tag_name(root.node), "here".to_owned())];
             let sentence =
                 format!("a robot file begins with `robot`, not with `{name}`{namespace}");
-            root.find("robot::schema", sentence, at, Some("write `<robot …>`".to_owned()));
+            root.find(
+                "robot::schema",
+                crate::finding::tag_name(root.node),
+                ValueError::new(sentence, "here", "write `<robot …>`"),
+            );
             return root.leave();
         }
         self.open.push(path);
@@ -143,11 +146,14 @@ impl RobotReader<'_> {
     ) {
         let schema = root.need("schema", value::count::<u32>);
         if let Some(schema) = schema.filter(|schema| *schema != SCHEMA) {
-            let at = [(root.place("schema"), "written for another version".to_owned())];
             let sentence =
                 format!("this file has schema {schema}, and this program reads {SCHEMA}");
             let help = format!("write `{SCHEMA}`, and what that schema has");
-            root.find("robot::schema", sentence, at, Some(help));
+            root.find(
+                "robot::schema",
+                root.place("schema"),
+                ValueError::new(sentence, "written for another version", help),
+            );
             return root.leave();
         }
         *reading.arguments.borrow_mut() = arguments(root, set);
@@ -173,8 +179,11 @@ impl RobotReader<'_> {
         let set = texts(element.distinct("set", "argument"), ["argument", "value"]);
         let Some(name) = element.need("file", value::text) else { return };
         let wrong = |sentence: String, help: &str| {
-            let at = [(element.place("file"), "here".to_owned())];
-            element.find("robot::include", sentence, at, Some(help.to_owned()));
+            element.find(
+                "robot::include",
+                element.place("file"),
+                ValueError::new(sentence, "here", help),
+            );
         };
         let from = self.open.last().and_then(|open| open.parent()).unwrap_or(&self.root);
         let path = match fs::canonicalize(from.join(&name)) {
@@ -257,9 +266,12 @@ fn arguments(root: &RobotElement<'_>, set: &ArgumentSource<'_>) -> ArgumentValue
             || env::var(&variable).ok().filter(|_| matches!(set, ArgumentSource::Outer(_)));
         let value = told.or_else(environment).or(default);
         if arguments.values.len() >= ARGUMENTS_MAX {
-            let at = [(element.place("name"), "one too many".to_owned())];
             let sentence = format!("the file declares more than {ARGUMENTS_MAX} arguments");
-            element.find("robot::limit", sentence, at, Some("delete it".into()));
+            element.find(
+                "robot::limit",
+                element.place("name"),
+                ValueError::new(sentence, "one too many", "delete it"),
+            );
         }
         match value.map(|value| (kind.map_or(Ok(()), |check| check(&value)), value)) {
             Some((Ok(()), value)) => drop(arguments.values.insert(name, value)),
@@ -269,12 +281,10 @@ fn arguments(root: &RobotElement<'_>, set: &ArgumentSource<'_>) -> ArgumentValue
                 } else {
                     "name"
                 };
-                let at = [(element.place(part), error.label)];
-                element.find("robot::value", error.sentence, at, Some(error.help));
+                element.find("robot::value", element.place(part), error);
                 arguments.missing.push(name);
             }
             None => {
-                let at = [(element.place("name"), "without a value".to_owned())];
                 let how = match set {
                     ArgumentSource::Outer(_) => format!("`--set {name}=…` or {variable}"),
                     ArgumentSource::Include(_) => {
@@ -282,7 +292,11 @@ fn arguments(root: &RobotElement<'_>, set: &ArgumentSource<'_>) -> ArgumentValue
                     }
                 };
                 let help = format!("give it by {how}, or add `default`");
-                element.find("robot::argument", format!("`{name}` has no value"), at, Some(help));
+                element.find(
+                    "robot::argument",
+                    element.place("name"),
+                    ValueError::new(format!("`{name}` has no value"), "without a value", help),
+                );
                 arguments.missing.push(name);
             }
         }
@@ -291,9 +305,12 @@ fn arguments(root: &RobotElement<'_>, set: &ArgumentSource<'_>) -> ArgumentValue
         let declared = arguments.values.keys().chain(&arguments.missing).map(String::as_str);
         if !declared.clone().any(|known| known == name) {
             let help = hint(name, declared);
-            let at = [(root.place("name"), "this file".to_owned())];
             let sentence = format!("there is no argument `{name}` to set");
-            root.find("robot::argument", sentence, at, Some(help));
+            root.find(
+                "robot::argument",
+                root.place("name"),
+                ValueError::new(sentence, "this file", help),
+            );
         }
     }
     arguments
@@ -322,24 +339,20 @@ fn endpoint(element: &RobotElement<'_>) -> EndpointDescription {
 
 /// The address of a port; on a node, one without a node is that node's.
 fn port(text: &str, node: Option<&str>) -> ParsedValue<PortAddress> {
-    let refused = |error: ConnectError| value::ValueError {
-        sentence: error.to_string(),
-        label: "a port".to_owned(),
-        help: match text.rsplit_once('.') {
+    let refused = |error: ConnectError| {
+        let help = match text.rsplit_once('.') {
             Some((object, port)) if !text.contains('#') => format!("write `{object}#{port}`"),
             _ => "write `component#port`, or `node:component#port`".to_owned(),
-        },
+        };
+        ValueError::new(error.to_string(), "a port", help)
     };
     let mut address: PortAddress = text.parse().map_err(refused)?;
     if address.node.is_none() {
         address.node = node.and_then(|node| NodeName::new(node).ok());
     }
     if address.node.is_none() && node.is_none() {
-        return Err(value::ValueError {
-            sentence: format!("`{text}` names no node"),
-            label: "a port".to_owned(),
-            help: format!("write `node:{text}`, or put `connect` into the node"),
-        });
+        let help = format!("write `node:{text}`, or put `connect` into the node");
+        return Err(ValueError::new(format!("`{text}` names no node"), "a port", help));
     }
     Ok(address)
 }
@@ -423,10 +436,9 @@ fn needs(element: &RobotElement<'_>) -> Option<NeedDescription> {
     let mut channels = channels.into_iter().flatten();
     let channel = channels.next();
     if channel.is_none() || channels.next().is_some() {
-        let sentence = "`needs` names one channel".to_owned();
-        let at = [(element.place(""), "here".to_owned())];
+        let sentence = "`needs` names one channel";
         let help = "write `heartbeat`, `node`, `session` or `link`, and one `needs` for each";
-        element.find("robot::lost", sentence, at, Some(help.to_owned()));
+        element.find("robot::lost", element.place(""), ValueError::new(sentence, "here", help));
     }
     // The channel last: without one the other attributes are known all the same.
     Some(NeedDescription {
@@ -479,10 +491,13 @@ fn child(element: &RobotElement<'_>, children: &mut Vec<ChildDescription>) {
         return element.leave();
     }
     if element.node.ancestors().nth(NESTED_MAX).is_some() {
-        let at = [(element.place("name"), "one too many".to_owned())];
         let sentence = format!("more than {NESTED_MAX} elements stand within each other");
-        let help = "make the tree of supervisors flatter".to_owned();
-        element.find("robot::limit", sentence, at, Some(help));
+        let help = "make the tree of supervisors flatter";
+        element.find(
+            "robot::limit",
+            element.place("name"),
+            ValueError::new(sentence, "one too many", help),
+        );
         return element.leave();
     }
     let mut supervisor = SupervisorDescription {
@@ -533,8 +548,7 @@ fn component(element: &RobotElement<'_>) -> ChildDescription {
         false => element.need("type", value::text),
         true => element.take("type", |text| {
             let (sentence, help) = ("a component has a `type` or a `tree`", "delete one");
-            let label = format!("{text}, beside a tree");
-            Err(value::ValueError { sentence: sentence.into(), label, help: help.into() })
+            Err(ValueError::new(sentence, format!("{text}, beside a tree"), help))
         }),
     };
     ChildDescription::Component(Box::new(ComponentDescription {
@@ -703,9 +717,12 @@ fn answer(element: &RobotElement<'_>) -> Option<AnswerDescription> {
                 None
             }
             (Some(Some(_)), Some(_)) => {
-                let at = [(step.place("strategy"), "of no use".to_owned())];
-                let sentence = "only the action `strategy` has a `strategy`".to_owned();
-                step.find("robot::plan", sentence, at, Some("delete it".to_owned()));
+                let sentence = "only the action `strategy` has a `strategy`";
+                step.find(
+                    "robot::plan",
+                    step.place("strategy"),
+                    ValueError::new(sentence, "of no use", "delete it"),
+                );
                 None
             }
             (None, _) => None,
@@ -729,9 +746,12 @@ fn answer(element: &RobotElement<'_>) -> Option<AnswerDescription> {
     }
     let fault = element.need("fault", value::fault);
     if steps.is_empty() {
-        let at = [(element.place("fault"), "without a step".to_owned())];
-        let help = "add `<step action=…/>`".to_owned();
-        element.find("robot::plan", "a fault without an answer".to_owned(), at, Some(help));
+        let help = "add `<step action=…/>`";
+        element.find(
+            "robot::plan",
+            element.place("fault"),
+            ValueError::new("a fault without an answer", "without a step", help),
+        );
     }
     Some(AnswerDescription { fault: fault?, ladder: ladder?, origin: element.origin() })
 }
@@ -748,7 +768,7 @@ fn syntax_finding(file: usize, text: &str, error: &Error) -> RobotFinding {
         code: "robot::xml",
         sentence,
         labels,
-        help: Some(help),
+        help,
     };
     match error {
         Error::UnexpectedCloseTag(expected, actual, _) => {

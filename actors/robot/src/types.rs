@@ -102,7 +102,7 @@ impl fmt::Debug for Types {
 }
 
 impl Types {
-    /// No types.
+    /// Creates a table without types.
     pub fn new() -> Self {
         Types::default()
     }
@@ -454,7 +454,7 @@ impl Types {
                 several => {
                     let places = several.iter().map(|node| format!("`{node}:{object}`"));
                     let help = format!("write {}", places.collect::<Vec<_>>().join(" or "));
-                    ValueError { sentence, help, label: "in several processes".to_owned() }
+                    ValueError::new(sentence, "in several processes", help)
                 }
             }
         })?;
@@ -464,8 +464,7 @@ impl Types {
         ] {
             if is_it {
                 let sentence = format!("{object} is {label}, and has no ports");
-                let (label, help) = (label.to_owned(), help.to_owned());
-                return Err(ValueError { sentence, label, help });
+                return Err(ValueError::new(sentence, label, help));
             }
         }
         let Some(of) = self.description(&component.type_name) else { return Ok(None) };
@@ -511,7 +510,7 @@ fn unknown<'w>(
     wrong: &str,
     known: impl Iterator<Item = &'w str> + Clone,
 ) -> ValueError {
-    ValueError { sentence, help: hint(wrong, known), label: "unknown".to_owned() }
+    ValueError::new(sentence, "unknown", hint(wrong, known))
 }
 
 /// Gives a component the settings of its description.

@@ -17,6 +17,16 @@ pub(crate) struct ValueError {
     pub(crate) help: String,
 }
 
+impl ValueError {
+    pub(crate) fn new(
+        sentence: impl Into<String>,
+        label: impl Into<String>,
+        help: impl Into<String>,
+    ) -> Self {
+        ValueError { sentence: sentence.into(), label: label.into(), help: help.into() }
+    }
+}
+
 /// What a text means.
 pub(crate) type ParsedValue<T> = Result<T, ValueError>;
 
@@ -32,7 +42,7 @@ pub(crate) fn hint<'w>(wrong: &str, known: impl IntoIterator<Item = &'w str> + C
 }
 
 fn wrong<T>(sentence: String, label: &str, help: impl Into<String>) -> ParsedValue<T> {
-    Err(ValueError { sentence, label: label.to_owned(), help: help.into() })
+    Err(ValueError::new(sentence, label, help))
 }
 
 pub(crate) fn text(text: &str) -> ParsedValue<String> {
@@ -171,7 +181,7 @@ pub(crate) fn size(text: &str) -> ParsedValue<u64> {
 
 /// A kind of fault: its words with `-` between them, its code, or a code of the application's own.
 pub(crate) fn fault(text: &str) -> ParsedValue<FaultKind> {
-    let known = FaultKind::BUILT_IN.iter().map(|kind| (fault_word(kind), kind));
+    let known = FaultKind::built_in().map(|kind| (fault_word(kind), kind));
     let known: Vec<_> = known.collect();
     let built_in = known.iter().find(|(word, kind)| word == text || kind.code() == text);
     if let Some((_, kind)) = built_in {

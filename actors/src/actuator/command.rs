@@ -1,7 +1,6 @@
 //! The messages between a commander and an actuator's node.
 
-use crate::messaging::error::encode_kind;
-use blastema_core::DeliveryError;
+use crate::registry::encoding::OtherContract;
 use blastema_macros::{Request, Structure};
 
 /// What a commander wants. It is asked at the actuator's name.
@@ -9,8 +8,8 @@ use blastema_macros::{Request, Structure};
 #[contract(
     crate = "crate",
     name = "blastema/command",
-    version = 3,
-    reply = CommandReply,
+    version = 4,
+    reply = Result<CommandDone, OtherContract>,
     max_size = 1024 * 1024
 )]
 pub(crate) struct ActuatorCommand {
@@ -30,26 +29,11 @@ pub(crate) enum CommandKind {
     Command { epoch: u64, age_us: u64, way_us: u64, message: Vec<u8> },
 }
 
-/// What came of it.
-#[derive(Clone, Debug, Structure)]
+/// What came of it: the lease that a claim was granted, or the actuator's reply to a command.
+#[derive(Clone, Debug, Default, Structure)]
 #[contract(crate = "crate")]
-pub(crate) enum CommandReply {
-    Granted {
-        epoch: u64,
-        span_us: u64,
-    },
-    Done(Vec<u8>),
-    /// The contract is another one there: this.
-    Differs {
-        identity: Vec<u8>,
-    },
-    Refused {
-        why: Vec<u8>,
-    },
-}
-
-impl CommandReply {
-    pub(crate) fn refused(why: &DeliveryError) -> Self {
-        CommandReply::Refused { why: encode_kind(why) }
-    }
+pub(crate) struct CommandDone {
+    pub(crate) epoch: u64,
+    pub(crate) span_us: u64,
+    pub(crate) reply: Vec<u8>,
 }

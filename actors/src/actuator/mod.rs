@@ -15,15 +15,14 @@ pub use settings::ActuatorSettings;
 pub use table::ActuatorRow;
 pub(crate) use table::{ActuatorKey, ActuatorTable, DeclaredActuator};
 
-use crate::messaging::error::decode_kind;
 use crate::messaging::sender::Sender;
 use crate::platform::{self, lock};
-use crate::registry::encoding::{differs, encoded};
+use crate::registry::encoding::{OtherContract, encoded};
 use crate::settings::LEASE;
 use blastema_core::contract::codec;
 use blastema_core::lease::{LeaseRules, StopBy};
 use blastema_core::{Contract, ContractIdentity, DeliveryError, Incarnation, Instant};
-use command::{ActuatorCommand, CommandKind, CommandReply};
+use command::{ActuatorCommand, CommandDone, CommandKind};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::future::Future;
@@ -179,6 +178,8 @@ struct CommanderState {
     actuator: String,
     sender: Sender<ActuatorCommand>,
     identity: Vec<u8>,
+    /// How the actuator's contract differs from the commander's.
+    difference: fn(&OtherContract) -> DeliveryError,
     name: String,
     incarnation: Incarnation,
     held: Mutex<Option<Held>>,
@@ -222,6 +223,7 @@ pub(crate) fn commander<M: Contract>(
         actuator,
         sender,
         identity: ContractIdentity::of::<M>().brief().encode(),
+        difference: |other| other.difference::<M>("actuator"),
         name,
         incarnation,
         held: Mutex::default(),
@@ -286,13 +288,10 @@ impl CommanderState {
         &self,
         wish: CommandKind,
         within: Duration,
-    ) -> Result<CommandReply, DeliveryError> {
+    ) -> Result<CommandDone, DeliveryError> {
         let order = ActuatorCommand { identity: self.identity.clone(), wish };
         let asked = self.sender.ask_within(order, within).await;
-        match asked.map_err(|error| error.kind)? {
-            CommandReply::Refused { why } => Err(decode_kind(&why)),
-            ordered => Ok(ordered),
-        }
+        asked.map_err(|error| error.kind)?.map_err(|other| (self.difference)(&other))
     }
 
     /// The actuator's node has taken, or refused, something that was asked then.
@@ -372,16 +371,12 @@ impl<M: Contract> Commander<M> {
         let CommanderState { name, incarnation, .. } = &*self.0;
         let asked = platform::now();
         let wish = CommandKind::Claim { commander: name.clone(), incarnation: incarnation.0 };
-        match self.0.send_command(wish, within).await? {
-            CommandReply::Granted { epoch, span_us } => {
-                let span = Duration::from_micros(span_us);
-                let (until, way) = (asked + span, platform::now() - asked);
-                *self.0.lock() = Some(Held { epoch, span, until, way });
-                self.0.claimed.notify_one();
-                Ok(epoch)
-            }
-            other => Err(odd::<M>(other)),
-        }
+        let CommandDone { epoch, span_us, .. } = self.0.send_command(wish, within).await?;
+        let span = Duration::from_micros(span_us);
+        let (until, way) = (asked + span, platform::now() - asked);
+        *self.0.lock() = Some(Held { epoch, span, until, way });
+        self.0.claimed.notify_one();
+        Ok(epoch)
     }
 
     /// Says whether the lease is known to hold.
@@ -441,11 +436,8 @@ impl<M: Contract> Commander<M> {
         let done = self.0.send_command(command, span).await;
         let noted = done.as_ref().map(|_| ()).map_err(Clone::clone);
         self.0.take_note(epoch, now, noted);
-        match done? {
-            CommandReply::Done(reply) => codec::decode_reply::<M>(&reply)
-                .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() }),
-            other => Err(odd::<M>(other)),
-        }
+        codec::decode_reply::<M>(&done?.reply)
+            .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })
     }
 
     /// Gives the lease back. The safe outputs are applied, as whenever a lease ends.
@@ -475,14 +467,4 @@ fn comes_later(why: &DeliveryError) -> bool {
             | Unknown { .. }
             | Unreachable { .. }
     )
-}
-
-fn odd<M: Contract>(ordered: CommandReply) -> DeliveryError {
-    match ordered {
-        CommandReply::Differs { identity } => differs::<M>(&identity, "actuator"),
-        ordered => {
-            let reason = format!("an answer to another order: {ordered:?}");
-            DeliveryError::Undecodable { reason }
-        }
-    }
 }

@@ -4,10 +4,11 @@
 //! watches the leases' time, so that a component that hangs does not delay another actuator's safe
 //! command.
 
-use super::command::{ActuatorCommand, CommandKind, CommandReply};
+use super::command::{ActuatorCommand, CommandDone, CommandKind};
 use crate::messaging::reply::Responder;
 use crate::platform::{self, lock};
 use crate::registry::access::{AccessControl, AccessWish, MessageOrigin};
+use crate::registry::encoding::{RequestRefusal, named_contract};
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, MessageMetadata, ReplyTo, Skeleton};
 use crate::runtime::callbacks::{CallOutcome, Callbacks};
@@ -21,7 +22,7 @@ use blastema_core::lease::{
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{
     ContractIdentity, DeliveryError, FaultKind, GatherBuffer, Incarnation, Instant, Machine,
-    ObjectName, PeerIdentity,
+    ObjectName,
 };
 use bytes::Bytes;
 use std::sync::atomic::Ordering::{Relaxed, SeqCst};
@@ -65,7 +66,7 @@ pub(crate) struct DeclaredActuator {
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct ActuatorRow {
-    /// The component.
+    /// The name of the component that declares the actuator.
     pub object: ObjectName,
     /// The contract of its commands.
     pub contract: &'static str,
@@ -108,7 +109,7 @@ pub(crate) struct ActuatorTable {
     /// As many as its components declare.
     actuators: Arc<Mutex<Actuators>>,
     timekeeper: Arc<Timekeeper>,
-    /// Calls cut-offs.
+    /// Runs the cut-off functions.
     callbacks: Callbacks,
     /// The node is in the safe state, in which no lease is granted.
     rests: Arc<AtomicBool>,
@@ -173,8 +174,8 @@ impl ActuatorTable {
         let (table, object) = (self.clone(), object.clone());
         let serve = move |order: ActuatorCommand,
                           from: MessageOrigin,
-                          answer: Responder<ActuatorCommand>| {
-            table.serve((&object, &access), order, from, answer)
+                          reply: Responder<ActuatorCommand>| {
+            table.serve((&object, &access), order, from, reply)
         };
         ContractPort::of_service_fn(ServiceFn::<ActuatorCommand>(Arc::new(serve)))
     }
@@ -353,79 +354,77 @@ impl ActuatorTable {
         lock(&self.actuators).get(key).cloned()
     }
 
-    fn serve(
+    /// The actuator that a message is for, if its sender may command it and means its contract.
+    /// Each message is checked: the number of a lease is easily guessed.
+    fn meant(
         &self,
         (object, access): (&ObjectName, &AccessControl),
-        order: ActuatorCommand,
+        identity: &[u8],
         from: MessageOrigin,
-        answer: Responder<ActuatorCommand>,
-    ) {
-        let ActuatorCommand { identity, wish } = order;
-        let theirs = match PeerIdentity::decode(&identity) {
-            Ok(theirs) => theirs,
-            Err(error) => {
-                let why = DeliveryError::Undecodable { reason: error.to_string() };
-                return answer.give(CommandReply::refused(&why));
-            }
-        };
-        // Each message is checked: the number of a lease is easily guessed.
-        if let Err(why) = access.check(from, AccessWish::Command, object, || theirs.name.clone()) {
-            return answer.give(CommandReply::refused(&why));
-        }
+    ) -> Result<Arc<Actuator>, RequestRefusal> {
+        let theirs = named_contract(identity)?;
+        access.check(from, AccessWish::Command, object, || theirs.name.clone())?;
         let named = |actuator: &&Arc<Actuator>| {
             actuator.object == *object && actuator.declared.identity.name == theirs.name
         };
-        let Some(actuator) = lock(&self.actuators).values().find(named).cloned() else {
-            let why = DeliveryError::Unknown { name: format!("{} of {object}", theirs.name) };
-            return answer.give(CommandReply::refused(&why));
+        let actuator = lock(&self.actuators).values().find(named).cloned();
+        let unknown = || DeliveryError::Unknown { name: format!("{} of {object}", theirs.name) };
+        let actuator = actuator.ok_or_else(unknown)?;
+        RequestRefusal::check(&actuator.declared.identity, &theirs)?;
+        Ok(actuator)
+    }
+
+    fn serve(
+        &self,
+        to: (&ObjectName, &AccessControl),
+        ActuatorCommand { identity, wish }: ActuatorCommand,
+        from: MessageOrigin,
+        reply: Responder<ActuatorCommand>,
+    ) {
+        let actuator = match self.meant(to, &identity, from) {
+            Ok(actuator) => actuator,
+            Err(refusal) => return reply.settle(Err(refusal)),
         };
-        if actuator.declared.identity.check(&theirs).is_err() {
-            let identity = actuator.declared.identity.full().encode();
-            return answer.give(CommandReply::Differs { identity });
-        }
         let now = platform::now();
         let mut lease = lock(&actuator.lease);
         // Looked at under the lease's lock: who comes later finds that it has ended.
-        if self.rests.load(SeqCst) {
-            drop(lease);
-            return answer.give(CommandReply::refused(&DeliveryError::Stopped));
-        }
-        if let Some(why) = actuator.impersonation(&wish, from, &lease, now) {
-            drop(lease);
-            return answer.give(CommandReply::refused(&why));
-        }
-        let done = match wish {
+        let rests = self.rests.load(SeqCst).then_some(DeliveryError::Stopped);
+        let refused = rests.or_else(|| actuator.impersonation(&wish, from, &lease, now));
+        let mut is_granted = false;
+        let done = match (refused, wish) {
+            (Some(why), _) => Err(why),
             // Its first command would wait, perhaps for longer than the lease.
-            CommandKind::Claim { .. } if !actuator.skeleton.is_at_work() => {
+            (None, CommandKind::Claim { .. }) if !actuator.skeleton.is_at_work() => {
                 Err(DeliveryError::Restarting)
             }
-            CommandKind::Claim { commander, .. }
+            (None, CommandKind::Claim { commander, .. })
                 if lock(&self.suspended).iter().any(|name| is_of(&commander, name)) =>
             {
                 let by = "the policy for lost communication".to_owned();
-                Err(DeliveryError::Held { actuator: object.to_string(), by })
+                Err(DeliveryError::Held { actuator: actuator.object.to_string(), by })
             }
-            CommandKind::Claim { commander, incarnation } => {
+            (None, CommandKind::Claim { commander, incarnation }) => {
                 let commander =
                     CommanderId { name: commander, incarnation: Incarnation(incarnation) };
                 lease.handle_claim(commander, now).map(|grant| {
+                    is_granted = true;
                     *lock(&actuator.claimed_from) = from;
                     let span_us = u64::try_from(grant.span.as_micros()).unwrap_or(u64::MAX);
-                    CommandReply::Granted { epoch: grant.epoch, span_us }
+                    CommandDone { epoch: grant.epoch, span_us, ..CommandDone::default() }
                 })
             }
-            CommandKind::Renew { epoch } => {
-                lease.handle_renewal(epoch, now).map(|()| CommandReply::Done(Vec::new()))
+            (None, CommandKind::Renew { epoch }) => {
+                lease.handle_renewal(epoch, now).map(|()| CommandDone::default())
             }
-            CommandKind::Release { epoch } => {
+            (None, CommandKind::Release { epoch }) => {
                 lease.handle_release(epoch);
-                Ok(CommandReply::Done(Vec::new()))
+                Ok(CommandDone::default())
             }
-            CommandKind::Command { epoch, age_us, way_us, message } => {
+            (None, CommandKind::Command { epoch, age_us, way_us, message }) => {
                 let way_us = if from.is_elsewhere() { way_us } else { 0 };
                 // What it took longer than the fastest request is missing from its deadline, which
                 // is the lease's span.
-                let left = answer.until().map_or(actuator.declared.rules.span, |until| until - now);
+                let left = reply.until().map_or(actuator.declared.rules.span, |until| until - now);
                 let age = Duration::from_micros(age_us.saturating_add(way_us))
                     .saturating_add(actuator.declared.rules.span.saturating_sub(left));
                 match lease.handle_renewal(epoch, now) {
@@ -433,7 +432,7 @@ impl ActuatorTable {
                         Err(DeliveryError::Expired)
                     }
                     Ok(()) => {
-                        actuator.command((message, age), &mut lease, answer);
+                        actuator.command((message, age), &mut lease, reply);
                         drop(lease);
                         return self.timekeeper.look();
                     }
@@ -443,11 +442,11 @@ impl ActuatorTable {
         };
         drop(lease);
         self.carry_out(&actuator);
-        if matches!(done, Ok(CommandReply::Granted { .. })) {
+        if is_granted {
             self.take_back(&actuator);
         }
         self.timekeeper.look();
-        answer.give(done.unwrap_or_else(|why| CommandReply::refused(&why)));
+        reply.settle(done.map_err(RequestRefusal::Why));
     }
 
     /// A commander holds the lease again: clears the fault of the former one, unless another
@@ -597,19 +596,20 @@ impl Actuator {
         &self,
         (message, age): (Vec<u8>, Duration),
         lease: &mut Lease,
-        answer: Responder<ActuatorCommand>,
+        reply: Responder<ActuatorCommand>,
     ) {
         if self.busy.swap(true, Relaxed) {
-            return answer.give(CommandReply::refused(&DeliveryError::Full));
+            return reply.refuse(DeliveryError::Full, None);
         }
         lease.handle_command(platform::now());
         let busy = self.busy.clone();
         let reply_to: ReplyTo = Box::new(move |result: Result<GatherBuffer, DeliveryError>| {
             busy.store(false, Relaxed);
-            answer.give(match result {
-                Ok(reply) => CommandReply::Done(reply.into_bytes().into()),
-                Err(why) => CommandReply::refused(&why),
-            });
+            let done = |bytes: GatherBuffer| CommandDone {
+                reply: bytes.into_bytes().into(),
+                ..CommandDone::default()
+            };
+            reply.settle(result.map(done).map_err(RequestRefusal::Why));
         });
         let metadata = MessageMetadata { age, ..MessageMetadata::default() };
         // What came of it is told to the closure in every case.
@@ -629,15 +629,12 @@ mod tests {
         let wheels = ObjectName::new("wheels").expect("a name");
         let identity = ContractIdentity::of::<ActuatorCommand>().brief().encode();
         let peer = Some(NodeId::of(&NodeName::new(node).expect("a name")));
-        let (told, reply) = mpsc::channel();
-        let answer = Responder::called_back(Box::new(move |result| drop(told.send(result))), None);
+        let (sent, reply) = mpsc::channel();
+        let responder = Responder::called_back(Box::new(move |done| drop(sent.send(done))), None);
         let (order, access) = (ActuatorCommand { identity, wish }, AccessControl::default());
-        table.serve((&wheels, &access), order, MessageOrigin { peer }, answer);
-        match reply.try_recv().expect("it is answered at once")? {
-            CommandReply::Granted { epoch, .. } => Ok(epoch),
-            CommandReply::Refused { why } => Err(crate::messaging::error::decode_kind(&why)),
-            CommandReply::Done(_) | CommandReply::Differs { .. } => Ok(0),
-        }
+        table.serve((&wheels, &access), order, MessageOrigin { peer }, responder);
+        let done = reply.try_recv().expect("it is answered at once")?;
+        Ok(done.expect("it is the same contract").epoch)
     }
 
     fn claim(commander: &str) -> CommandKind {
@@ -648,8 +645,8 @@ mod tests {
     fn a_lease_is_used_from_the_node_that_claimed_it_and_a_commander_has_its_nodes_name() {
         let (table, wheels) =
             (ActuatorTable::default(), ObjectName::new("wheels").expect("a name"));
-        let serve = |_, _, answer: Responder<ActuatorCommand>| {
-            answer.give(CommandReply::Done(Vec::new()));
+        let serve = |_, _, responder: Responder<ActuatorCommand>| {
+            responder.give(Ok(CommandDone::default()));
         };
         let skeleton = Arc::new(ServiceFn::<ActuatorCommand>(Arc::new(serve)));
         let declared = DeclaredActuator {

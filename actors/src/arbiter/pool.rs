@@ -10,19 +10,20 @@
 
 use super::heartbeat::ArbiterHeartbeat;
 use crate::platform;
+use crate::platform::lock;
 use crate::platform::scheduling::ThreadScheduling;
 use actix_rt::{Arbiter, ArbiterHandle, System};
 use blastema_core::sorted::SortedMap;
 use blastema_core::{Instant, ObjectName};
 use std::ops::Deref;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, Weak};
 use std::time::Duration;
 use std::{fmt, io};
 
 /// Which components may run on a thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ThreadKind {
-    /// Any component.
+    /// Any component that has no thread of its own.
     Shared,
     /// One component: it asked for a thread of its own, or its previous incarnation kept another
     /// thread.
@@ -60,7 +61,6 @@ const ANSWERS_WITHIN: Duration = Duration::from_millis(100);
 #[derive(Clone)]
 pub(crate) struct ArbiterSlot(Arc<ArbiterEntry>);
 
-/// One arbiter.
 pub(crate) struct ArbiterEntry {
     pub(crate) handle: ArbiterHandle,
     pub(crate) heartbeat: Arc<ArbiterHeartbeat>,
@@ -221,10 +221,6 @@ impl ArbiterPool {
         ArbiterPool(Arc::new(Inner { shared, system, pool, on_abandoned }))
     }
 
-    fn pool_of(&self) -> MutexGuard<'_, Pool> {
-        self.0.pool.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// A place for a component, on a thread of its own where it is told how that is scheduled.
     ///
     /// # Errors
@@ -240,7 +236,7 @@ impl ArbiterPool {
             return Ok(ArbiterSlot::new(Arbiter::current(), heartbeat, false));
         }
         self.check_share(object)?;
-        self.place_in(&mut self.pool_of(), own_thread)
+        self.place_in(&mut lock(&self.0.pool), own_thread)
     }
 
     fn place_in(
@@ -276,7 +272,7 @@ impl ArbiterPool {
     /// # Errors
     /// It keeps its share already.
     pub(crate) fn check_share(&self, culprit: &ObjectName) -> io::Result<()> {
-        let mut pool = self.pool_of();
+        let mut pool = lock(&self.0.pool);
         pool.tidy();
         let kept = pool.kept.iter().filter(|thread| thread.culprit == *culprit).count();
         if kept < THREADS_OF_ONE {
@@ -290,11 +286,11 @@ impl ArbiterPool {
     pub(crate) fn start_on(&self, slot: ArbiterSlot, incarnation: PendingIncarnation) {
         let waiting = Arc::new(Mutex::new(Some(incarnation)));
         if !slot.own_thread && self.0.shared > 0 {
-            self.pool_of().pending.push((slot.clone(), Arc::downgrade(&waiting)));
+            lock(&self.0.pool).pending.push((slot.clone(), Arc::downgrade(&waiting)));
         }
         let handle = slot.handle.clone();
         handle.spawn_fn(move || {
-            let incarnation = waiting.lock().unwrap_or_else(PoisonError::into_inner).take();
+            let incarnation = lock(&waiting).take();
             if let Some(incarnation) = incarnation {
                 incarnation(slot);
             }
@@ -303,7 +299,7 @@ impl ArbiterPool {
 
     /// Moves the incarnations that wait on threads which do not answer.
     pub(crate) fn move_pending(&self, now: Instant) {
-        let mut pool = self.pool_of();
+        let mut pool = lock(&self.0.pool);
         if pool.pending.is_empty() {
             return;
         }
@@ -311,7 +307,7 @@ impl ArbiterPool {
         let mut moved = Vec::new();
         for (slot, incarnation) in waiting {
             let Some(kept) = incarnation.upgrade() else { continue };
-            let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut kept = lock(&kept);
             if kept.is_none() {
                 continue;
             }
@@ -341,7 +337,7 @@ impl ArbiterPool {
 
     /// The culprit keeps this arbiter: nothing that is sent from it gets out any more.
     pub(crate) fn fence(&self, slot: &ArbiterSlot, culprit: &ObjectName) {
-        let mut pool = self.pool_of();
+        let mut pool = lock(&self.0.pool);
         // One that came back and is kept again has one culprit.
         let is_another = |kept: &ArbiterSlot| kept.heartbeat.id() != slot.heartbeat.id();
         pool.kept.retain(|thread| thread.slot.as_ref().is_none_or(is_another));
@@ -362,13 +358,13 @@ impl ArbiterPool {
     /// One more thread is abandoned that is none of these, because the fault chain called what
     /// blocks it.
     pub(crate) fn note_abandoned(&self, culprit: &ObjectName) {
-        self.pool_of().kept.push(KeptThread { culprit: culprit.clone(), slot: None });
+        lock(&self.0.pool).kept.push(KeptThread { culprit: culprit.clone(), slot: None });
         self.tell_abandoned();
     }
 
     /// Such a thread has come back.
     pub(crate) fn note_returned(&self, culprit: &ObjectName) {
-        let kept = &mut self.pool_of().kept;
+        let kept = &mut lock(&self.0.pool).kept;
         let is_its = |thread: &KeptThread| thread.slot.is_none() && thread.culprit == *culprit;
         if let Some(at) = kept.iter().position(is_its) {
             kept.swap_remove(at);
@@ -377,7 +373,7 @@ impl ArbiterPool {
 
     fn tell_abandoned(&self) {
         let lost = self.lost();
-        if let Some(tell) = &*self.0.on_abandoned.lock().unwrap_or_else(PoisonError::into_inner) {
+        if let Some(tell) = &*lock(&self.0.on_abandoned) {
             tell(&lost);
         }
     }
@@ -389,7 +385,7 @@ impl ArbiterPool {
 
     /// All threads that were begun here and have not ended.
     pub(crate) fn threads(&self) -> Vec<ArbiterThread> {
-        let mut pool = self.pool_of();
+        let mut pool = lock(&self.0.pool);
         pool.tidy();
         let usable = pool.slots.iter().chain(&pool.own).map(|slot| (slot, None));
         let lost = pool.kept.iter().filter(|thread| thread.is_lost());
@@ -403,7 +399,7 @@ impl ArbiterPool {
 
     /// How many threads each culprit keeps for good now.
     pub(crate) fn lost(&self) -> LostThreads {
-        self.pool_of().lost()
+        lock(&self.0.pool).lost()
     }
 
     /// How many threads are lost now and have not come back.
@@ -414,13 +410,13 @@ impl ArbiterPool {
     /// From now on calls `tell` whenever one more thread is lost; at [`CULPRITS_LIMIT`] the process
     /// should be restarted.
     pub(crate) fn on_abandoned(&self, tell: OnAbandoned) {
-        *self.0.on_abandoned.lock().unwrap_or_else(PoisonError::into_inner) = Some(tell);
+        *lock(&self.0.on_abandoned) = Some(tell);
     }
 
     /// Ends all threads that can still hear it, and starts no more.
     pub(crate) fn stop(&self) {
         let ended = Pool { stopped: true, ..Pool::default() };
-        let pool = std::mem::replace(&mut *self.pool_of(), ended);
+        let pool = std::mem::replace(&mut *lock(&self.0.pool), ended);
         let kept = pool.kept.iter().filter_map(|thread| thread.slot.as_ref());
         for slot in pool.slots.iter().chain(&pool.own).chain(kept) {
             slot.handle.stop();
@@ -577,13 +573,13 @@ mod tests {
                 let slot = arbiters.place(&leg, OWN).expect("a thread for another");
                 arbiters.fence(&slot, &leg);
                 let kept: Vec<_> =
-                    arbiters.pool_of().own.iter().map(|s| s.heartbeat.clone()).collect();
+                    lock(&arbiters.0.pool).own.iter().map(|s| s.heartbeat.clone()).collect();
                 assert!(kept.iter().filter(|heartbeat| arbiters.mark_lost(heartbeat)).count() >= 4);
                 assert_eq!(arbiters.lost()[&arm], THREADS_OF_ONE);
 
                 holds.clear();
                 while arbiters.lost().contains_key(&arm) {
-                    let kept = &arbiters.pool_of().kept;
+                    let kept = &lock(&arbiters.0.pool).kept;
                     kept.iter().filter_map(|kept| kept.slot.as_ref()).for_each(|s| s.return_late());
                     std::thread::yield_now();
                 }

@@ -27,6 +27,7 @@ use crate::messaging::queue::{BoundedQueue, WhenFull};
 use crate::messaging::reply::{ReplyFuture, Responder};
 use crate::messaging::sink::MessageSink;
 use crate::platform;
+use crate::platform::lock;
 use crate::platform::panics::{self, PanicRecord};
 use crate::settings::FAULT_HOLD;
 use blastema_contract::child::RestartGrant;
@@ -43,7 +44,7 @@ use std::future::Future;
 use std::pin::Pin;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicU8, AtomicU64};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 use tracing::warn;
 
@@ -108,10 +109,6 @@ pub(crate) enum Blame {
     Fault,
     /// The incarnation ends with a fault already: it is only logged.
     Log,
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl CellCore {
@@ -583,8 +580,8 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for ComponentCell<C> {
         // The caller is in this process: its responder shows whether it still waits.
         _: Option<Duration>,
     ) -> Result<ReplyFuture<M>, RequestError<M>> {
-        let (answer, reply) = Responder::awaited();
-        match self.post(message, Some(answer), id, enqueue_time::<M>()) {
+        let (responder, reply) = Responder::awaited();
+        match self.post(message, Some(responder), id, enqueue_time::<M>()) {
             Ok(()) => Ok(reply),
             Err(error) => Err(error.into()),
         }
@@ -622,7 +619,7 @@ impl<C: Component> ComponentCell<C> {
     pub(crate) fn post<M: Contract>(
         &self,
         message: M,
-        mut answer: Option<Responder<M>>,
+        mut responder: Option<Responder<M>>,
         id: Option<MessageId>,
         posted_at: Instant,
     ) -> Result<(), SendError<M>>
@@ -634,7 +631,7 @@ impl<C: Component> ComponentCell<C> {
         let posted = match heartbeat::send_refusal().or_else(|| self.record.refusal(id)) {
             None => {
                 let (port, times) = (self.port_of::<M>(), Times::from(posted_at));
-                self.push(port, message, |m| seal_message::<C, M>(m, answer.take(), id, times))
+                self.push(port, message, |m| seal_message::<C, M>(m, responder.take(), id, times))
             }
             Some(why) => Err((message, why)),
         };
@@ -643,8 +640,8 @@ impl<C: Component> ComponentCell<C> {
             if let DeliveryError::Quarantined { .. } = why {
                 self.record.record_dead_letter(M::NAME, &why);
             }
-            if let Some(answer) = answer {
-                answer.refuse(why.clone(), None);
+            if let Some(responder) = responder {
+                responder.refuse(why.clone(), None);
             }
             SendError::new(why, message)
         })
@@ -666,6 +663,78 @@ impl<C: Component> ComponentCell<C> {
             self.return_envelope(oldest, DeliveryError::Full);
         }
         Ok(())
+    }
+
+    /// Gives a notice to the incarnation `owner`, whether its queue is full or not. An earlier one
+    /// about the same thing that it has not taken yet is replaced.
+    pub(crate) fn notify<M: Contract>(&self, owner: Incarnation, about: &str, notice: M)
+    where
+        C: Handle<M>,
+    {
+        let notice = seal_message::<C, M>(notice, None, None, heartbeat::coarse_now());
+        drop(self.queue.notify(owner, &format!("{} {about}", M::NAME), notice));
+    }
+
+    /// Puts a safe command before all that waits, whether there is room or not. It ends with the
+    /// present incarnation. Commands of its contract that still wait are not begun any more.
+    pub(crate) fn post_first<M: Contract>(&self, command: M, responder: Responder<M>)
+    where
+        C: Handle<M>,
+    {
+        let Some(owner) = self.queue.owner() else {
+            return responder.refuse(DeliveryError::Restarting, None);
+        };
+        let is_command = |envelope: &BoxedEnvelope<C>| {
+            (envelope.header().contract == TypeId::of::<M>()).then(|| envelope.revocable())
+        };
+        for waiting in self.queue.select(is_command).into_iter().flatten() {
+            waiting.cancel(DeliveryError::Expired);
+        }
+        // No name of an object contains a blank, and no safe command grows old.
+        let (about, never) = (format!("command {}", M::NAME), Instant::from_nanos(u64::MAX));
+        let command = seal_message::<C, M>(command, Some(responder), None, never);
+        drop(self.queue.notify(owner, &about, command));
+    }
+
+    /// The component is not started again for now: closes its queue and its subscriptions.
+    pub(crate) fn end(self: &Arc<Self>) {
+        self.close(&self.record.refusal(None).unwrap_or(DeliveryError::Stopped));
+        self.subscriptions().iter().for_each(|subscription| subscription.end(self));
+    }
+
+    /// The same, by the incarnation that ends in order.
+    pub(crate) fn end_by(&self, incarnation: Incarnation) {
+        if self.queue.owner() == Some(incarnation) {
+            self.close_by(incarnation);
+            self.subscriptions().iter().for_each(|subscription| subscription.end(self));
+        }
+    }
+
+    /// Closes the queue until the next incarnation; what was in it is returned or counted.
+    pub(crate) fn close(&self, why: &DeliveryError) {
+        self.queue.stop().into_iter().for_each(|left| self.return_envelope(left, why.clone()));
+    }
+
+    /// The same, by the incarnation that ends; without effect when it was given up and another has
+    /// begun.
+    pub(crate) fn close_by(&self, incarnation: Incarnation) {
+        let left = self.queue.stop_by(incarnation);
+        left.into_iter()
+            .for_each(|envelope| self.return_envelope(envelope, DeliveryError::Stopped));
+    }
+
+    /// A message that is not going to be served is returned to its sender, or dropped and counted.
+    /// Its `Drop` is the user's: a supervisor that closes a queue runs it on the fault chain's
+    /// thread. A `Drop` that blocks there stalls the chain, which the
+    /// [thread outside](crate::fault_chain::outside) finds.
+    pub(crate) fn return_envelope(&self, mut envelope: BoxedEnvelope<C>, why: DeliveryError) {
+        let contract = envelope.header().name;
+        self.record.record_dead_letter(contract, &why);
+        let give_back = move || {
+            envelope.give_back(why);
+            drop(envelope);
+        };
+        let _ = self.record.guard(|| format!("the Drop of a message of {contract}"), give_back);
     }
 
     /// Returns what waits although it has expired, or its caller has stopped waiting.

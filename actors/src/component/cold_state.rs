@@ -4,9 +4,10 @@ use crate::component::declaration::CellListener;
 use crate::component::exits::UntoldExits;
 use crate::liveness::lateness::LatenessHistogram;
 use crate::messaging::injection::InjectionState;
+use crate::platform::lock;
 use blastema_core::delivery::quarantine::Quarantine;
 use blastema_core::{DeliveryError, Incarnation, MessageId};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock};
 
 /// What few components come to use. A component has it once it has used any of it.
 #[derive(Default)]
@@ -19,10 +20,6 @@ pub(crate) struct ColdState {
     listeners: Mutex<Vec<Arc<dyn CellListener>>>,
     /// The fault for which the component is isolated.
     isolated_because: Mutex<Option<String>>,
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl ColdState {

@@ -11,7 +11,7 @@ use crate::component::{Component, Failure, Handle};
 use crate::messaging::death_watch::DownReason;
 use crate::messaging::death_watch::{Down, Watcher};
 use crate::messaging::sender::{DetachedSender, Sender};
-use crate::messaging::sink::MessageSink;
+use crate::messaging::sink::{MessageSink, Redirected};
 use crate::platform;
 use crate::settings::FAULT_HOLD;
 use blastema_contract::reports::FaultDeclared;
@@ -95,7 +95,7 @@ impl<C: Component> Context<C> {
     pub fn detached<M: Contract>(&self, sender: &Sender<M>) -> Sender<M> {
         let detached =
             DetachedSender { inner: sender.clone(), incarnation: self.state.token.clone() };
-        Sender(Arc::new(detached))
+        Sender(Arc::new(Redirected(detached)))
     }
 
     /// The time now, on the clock that all stamps of this computer share.
@@ -354,9 +354,10 @@ impl<C: Component> Context<C> {
     /// Subscribes to the message [`Down`], sent whenever an incarnation of an object of this name
     /// ends. If it is not running or unknown, `Down` is sent at once. The object is a component, a
     /// supervisor or one of the middleware's own, here or, as `module2:arm`, on another node; of
-    /// such a one it is also told when its node is lost, and it is watched further when that is
-    /// back. The name is watched: also an object that gets it later, or again after another one was
-    /// removed. While no object of another node has the name, that node is asked once a second.
+    /// such a one it is also told when its node is lost, unless that node has said that no object
+    /// has the name, and it is watched further when that is back. The name is watched: also an object that gets it
+    /// later, or again after another one was removed. While no object of another node has the name,
+    /// that node is asked once a second.
     ///
     /// A notice comes before the messages that wait, and though the queue is full. Of an object
     /// that ended twice before the component had its turn the last end is reported. The watch ends

@@ -1,9 +1,10 @@
 //! The commands of the framework to the host of a component.
 
+use crate::platform::lock;
 use std::mem::discriminant;
+use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::{Acquire, Release};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::task::Waker;
 
 /// A command to a host, on the control queue.
@@ -42,13 +43,9 @@ struct Inner {
 }
 
 impl CommandQueue {
-    fn lock(&self) -> MutexGuard<'_, Inner> {
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Gives the executor a command.
     pub(crate) fn send(&self, command: HostCommand) {
-        let mut inner = self.lock();
+        let mut inner = lock(&self.inner);
         inner.commands.retain(|known| discriminant(known) != discriminant(&command));
         inner.commands.push(command);
         self.any.store(true, Release);
@@ -58,7 +55,7 @@ impl CommandQueue {
 
     /// Has the executor look again: something was decided elsewhere.
     pub(crate) fn wake(&self) {
-        let waker = self.lock().waker.clone();
+        let waker = lock(&self.inner).waker.clone();
         if let Some(waker) = waker {
             waker.wake();
         }
@@ -66,7 +63,7 @@ impl CommandQueue {
 
     /// The task to wake from now on. Set before [`take`](Self::take), so that no command is missed.
     pub(crate) fn set_waker(&self, waker: Option<Waker>) {
-        let before = std::mem::replace(&mut self.lock().waker, waker);
+        let before = std::mem::replace(&mut lock(&self.inner).waker, waker);
         drop(before);
     }
 
@@ -78,7 +75,7 @@ impl CommandQueue {
 
     #[cold]
     fn take_some(&self) -> Vec<HostCommand> {
-        let mut inner = self.lock();
+        let mut inner = lock(&self.inner);
         self.any.store(false, Release);
         std::mem::take(&mut inner.commands)
     }

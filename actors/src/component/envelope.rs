@@ -97,7 +97,7 @@ pub(crate) trait EventFutureSlot<C: Component, M: Contract> {
 
 struct Contents<M: Contract> {
     message: Option<M>,
-    answer: Option<Responder<M>>,
+    responder: Option<Responder<M>>,
 }
 
 /// An envelope that stays what it is: plain data, and `Send` by itself.
@@ -117,13 +117,13 @@ struct Rare {
 
 struct HandlerFuture<M: Contract, G, F> {
     make: G,
-    answer: Option<Responder<M>>,
+    responder: Option<Responder<M>>,
     future: Pin<Box<Option<F>>>,
 }
 
 impl<M: Contract, G, F> HandlerFuture<M, G, F> {
     fn new(make: G) -> Self {
-        HandlerFuture { make, answer: None, future: Box::pin(None) }
+        HandlerFuture { make, responder: None, future: Box::pin(None) }
     }
 }
 
@@ -146,13 +146,13 @@ where
                 .and_then(|rare| rare.captured_at)
                 .unwrap_or(self.posted_at),
             max_age: M::MAX_AGE,
-            is_followed: self.contents.answer.is_some()
+            is_followed: self.contents.responder.is_some()
                 || self.rare.as_ref().is_some_and(|rare| rare.id.is_some()),
         }
     }
 
     fn is_void(&self) -> bool {
-        self.contents.answer.as_ref().is_some_and(|answer| !answer.is_wanted())
+        self.contents.responder.as_ref().is_some_and(|responder| !responder.is_wanted())
     }
 
     fn id(&self) -> Option<MessageId> {
@@ -160,13 +160,13 @@ where
     }
 
     fn revocable(&self) -> Option<Arc<dyn Cancel>> {
-        self.contents.answer.as_ref()?.revocable()
+        self.contents.responder.as_ref()?.revocable()
     }
 
     fn give_back(&mut self, why: DeliveryError) {
         let message = self.contents.message.take();
-        if let Some(answer) = self.contents.answer.take() {
-            answer.refuse(why, message);
+        if let Some(responder) = self.contents.responder.take() {
+            responder.refuse(why, message);
         }
     }
 
@@ -190,7 +190,7 @@ where
     fn refill(&mut self, contents: &mut dyn Any, slot: &Rc<ComponentSlot<C>>) -> bool {
         let Some(contents) = contents.downcast_mut::<Contents<M>>() else { return false };
         let Some(message) = contents.message.take() else { return false };
-        self.answer = contents.answer.take();
+        self.responder = contents.responder.take();
         self.future.set(Some((self.make)(slot.clone(), message)));
         true
     }
@@ -200,16 +200,16 @@ where
         let Some(future) = self.future.as_mut().as_pin_mut() else { return Poll::Ready(()) };
         let Poll::Ready(reply) = future.poll(cx) else {
             let Some(why) = REFUSED.take() else { return Poll::Pending };
-            if let Some(answer) = self.answer.take() {
-                answer.refuse(why, None);
+            if let Some(responder) = self.responder.take() {
+                responder.refuse(why, None);
             }
             self.future.set(None);
             return Poll::Ready(());
         };
-        if let Some(answer) = self.answer.take() {
+        if let Some(responder) = self.responder.take() {
             match heartbeat::send_refusal() {
-                None => answer.give(reply),
-                Some(why) => answer.refuse(why, None),
+                None => responder.give(reply),
+                Some(why) => responder.refuse(why, None),
             }
         }
         self.future.set(None);
@@ -269,12 +269,12 @@ pub(crate) fn arrived_posting_time<M: Contract>(age: Duration) -> Instant {
 #[inline]
 pub(crate) fn seal_message<C: Handle<M>, M: Contract>(
     message: M,
-    answer: Option<Responder<M>>,
+    responder: Option<Responder<M>>,
     id: Option<MessageId>,
     times: impl Into<Times>,
 ) -> BoxedEnvelope<C> {
     let Times { posted_at, captured_at } = times.into();
-    let contents = Contents { message: Some(message), answer };
+    let contents = Contents { message: Some(message), responder };
     let is_rare = id.is_some() || captured_at.is_some();
     let rare = is_rare.then(|| Box::new(Rare { id, captured_at }));
     Box::new(Sealed { make: handle::<C, M>, contents, posted_at, rare })

@@ -4,12 +4,13 @@
 //! follows an end blocks its thread: by the watch, or by the supervisor that gives the next
 //! incarnation up.
 
+use crate::platform::lock;
 use crate::runtime::reports::FaultReports;
 use actix::Recipient;
 use blastema_contract::child::{ChildEvent, ChildReport};
 use blastema_contract::reports::{ExitReason, Exited};
 use blastema_core::{Incarnation, ObjectName};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// As many as the component's guard has restarted it in one turn, and one.
 #[derive(Default)]
@@ -20,7 +21,7 @@ struct Untold {
     exits: Vec<UntoldExit>,
     /// The ends of the incarnations up to this one were reported, or are no news: one that was
     /// abandoned may end later, while others report.
-    told: Incarnation,
+    reported_until: Incarnation,
 }
 
 /// An end that was not reported yet.
@@ -45,12 +46,8 @@ pub(crate) enum DueExits {
 }
 
 impl UntoldExits {
-    fn lock(&self) -> MutexGuard<'_, Untold> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     fn change(&self, incarnation: Incarnation, change: impl FnOnce(&mut UntoldExit)) {
-        let mut untold = self.lock();
+        let mut untold = lock(&self.0);
         let exited = untold.exits.iter_mut().find(|exited| exited.incarnation == incarnation);
         if let Some(exited) = exited {
             change(exited);
@@ -62,9 +59,9 @@ impl UntoldExits {
         let exit = exit.into();
         let (restarted_as, supervisor, is_settled) = (None, None, false);
         let exited = UntoldExit { incarnation, exit, restarted_as, supervisor, is_settled };
-        let mut untold = self.lock();
+        let mut untold = lock(&self.0);
         let is_known = untold.exits.iter().any(|known| known.incarnation == incarnation);
-        if !is_known && incarnation > untold.told {
+        if !is_known && incarnation > untold.reported_until {
             untold.exits.push(exited);
         }
     }
@@ -79,17 +76,17 @@ impl UntoldExits {
     pub(crate) fn settle(
         &self,
         incarnation: Incarnation,
-        supervisor: Option<&Arc<Recipient<ChildReport>>>,
+        supervisor: Option<Arc<Recipient<ChildReport>>>,
         is_next: bool,
     ) {
         self.change(incarnation, |exited| {
-            (exited.supervisor, exited.is_settled) = (supervisor.cloned(), is_next);
+            (exited.supervisor, exited.is_settled) = (supervisor, is_next);
         });
     }
 
     /// That incarnation had been given up before it ended: its end is no news.
     pub(crate) fn forget(&self, incarnation: Incarnation) {
-        self.lock().exits.retain(|exited| exited.incarnation != incarnation);
+        lock(&self.0).exits.retain(|exited| exited.incarnation != incarnation);
     }
 
     /// Reports each end once to the monitor and the supervisor.
@@ -98,14 +95,14 @@ impl UntoldExits {
             DueExits::Until(until) => exited.incarnation <= until,
             DueExits::Settled => exited.is_settled,
         };
-        let mut untold = self.lock();
+        let mut untold = lock(&self.0);
         let reported: Vec<UntoldExit> = untold.exits.extract_if(.., is_reported).collect();
         let last = reported.iter().map(|exited| exited.incarnation).max();
         let until = match which {
             DueExits::Until(until) => Some(until),
             DueExits::Settled => last,
         };
-        untold.told = untold.told.max(until.unwrap_or_default());
+        untold.reported_until = untold.reported_until.max(until.unwrap_or_default());
         drop(untold);
         for UntoldExit { incarnation, exit, restarted_as, supervisor, .. } in reported {
             let exit = Arc::unwrap_or_clone(exit);
@@ -144,8 +141,8 @@ mod tests {
             exits.tell(DueExits::Until(second), &object, &reports);
             exits.forget(first);
 
-            let told = [probe.expect().await.incarnation, probe.expect().await.incarnation];
-            assert_eq!(told, [first, second]);
+            let reported = [probe.expect().await.incarnation, probe.expect().await.incarnation];
+            assert_eq!(reported, [first, second]);
             probe.expect_none_for(Duration::from_secs(1)).await;
         });
     }

@@ -5,6 +5,7 @@ use crate::component::long_operation::LongOperations;
 use crate::component::{Component, Failure};
 use crate::liveness::activity::ActivityRecord;
 use crate::messaging::incarnation::IncarnationToken;
+use crate::platform;
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{FaultKind, Incarnation, Instant};
 use std::cell::{Cell, OnceCell, RefCell};
@@ -91,6 +92,8 @@ pub(crate) struct IncarnationState<C: Component> {
     pub(crate) activity: &'static ActivityRecord,
     /// There only where one was announced.
     operations: OnceCell<Arc<LongOperations>>,
+    /// When it began, until it first awaits something.
+    pub(crate) began: Cell<Option<Instant>>,
     /// Of the message that is served, or was last.
     pub(crate) captured_at: Cell<Option<Instant>>,
     /// It was ordered to end.
@@ -115,6 +118,7 @@ impl<C: Component> IncarnationState<C> {
             operations: OnceCell::new(),
             token: Arc::default(),
             activity,
+            began: Cell::new(Some(platform::now())),
             captured_at: Cell::new(None),
             is_leaving: Cell::new(false),
             settled: Cell::new(None),

@@ -3,8 +3,9 @@
 use crate::liveness::activity::ActivityRecord;
 use crate::messaging::incarnation::IncarnationToken;
 use crate::platform;
+use crate::platform::lock;
 use blastema_core::Instant;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// The operations of one incarnation that are under way, each with the time when it is to be over.
@@ -21,14 +22,10 @@ impl LongOperations {
 
     pub(crate) fn begin(self: &Arc<Self>, span: Duration) -> LongOperation {
         let end = platform::now() + span;
-        let mut ends = self.lock();
+        let mut ends = lock(&self.ends);
         ends.push(end);
         self.allow_latest(&ends);
         LongOperation { operations: self.clone(), end }
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Vec<Instant>> {
-        self.ends.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Announces the time until the last of them is to be over.
@@ -56,7 +53,7 @@ impl std::fmt::Debug for LongOperation {
 
 impl Drop for LongOperation {
     fn drop(&mut self) {
-        let mut ends = self.operations.lock();
+        let mut ends = lock(&self.operations.ends);
         if let Some(at) = ends.iter().position(|end| *end == self.end) {
             ends.swap_remove(at);
         }
@@ -77,7 +74,7 @@ mod tests {
         paused(async {
             let slot = ActivitySlot::claim();
             let operations = Arc::new(LongOperations::new(slot.activity, Arc::default()));
-            let allowance = || slot.activity.read().allowance;
+            let allowance = || slot.activity.read().component.allowance;
 
             let outer = operations.begin(800 * MS);
             let inner = operations.begin(10 * MS);
@@ -106,6 +103,6 @@ mod tests {
 
         drop(late);
 
-        assert_eq!(slot.activity.read().allowance, 500 * MS);
+        assert_eq!(slot.activity.read().component.allowance, 500 * MS);
     }
 }

@@ -40,7 +40,6 @@ pub struct Ports<C: Component> {
     open: Vec<PortConstructor<C>>,
     /// All that can be connected.
     declared: Vec<DeclaredPort>,
-    /// Its parameters.
     pub(crate) parameters: Option<ParametersType>,
     /// The contracts that have a queue of their own.
     queues: SortedMap<TypeId, (usize, WhenFull)>,

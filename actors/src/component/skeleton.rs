@@ -51,33 +51,34 @@ impl<C: Component> NamedSink<C> {
             false => Err(DeliveryError::Stopped),
         }
     }
+
+    #[inline]
+    fn or_successor<M: Contract>(
+        &self,
+        sent: Result<(), SendError<M>>,
+        again: impl FnOnce(&Sender<M>, M) -> Result<(), SendError<M>>,
+    ) -> Result<(), SendError<M>> {
+        match sent {
+            Err(SendError { kind: DeliveryError::Stopped, message, .. }) => {
+                match self.successor() {
+                    Ok(successor) => again(&successor, message),
+                    Err(why) => Err(SendError::new(why, message)),
+                }
+            }
+            sent => sent,
+        }
+    }
 }
 
 impl<C: Handle<M>, M: Contract> MessageSink<M> for NamedSink<C> {
     #[inline]
     fn tell(&self, message: M) -> Result<(), SendError<M>> {
-        match self.0.tell(message) {
-            Err(SendError { kind: DeliveryError::Stopped, message, .. }) => {
-                match self.successor() {
-                    Ok(successor) => successor.0.tell(message),
-                    Err(why) => Err(SendError::new(why, message)),
-                }
-            }
-            told => told,
-        }
+        self.or_successor(self.0.tell(message), |successor, message| successor.0.tell(message))
     }
 
     #[inline]
     fn offer(&self, message: M) -> Result<(), SendError<M>> {
-        match self.0.offer(message) {
-            Err(SendError { kind: DeliveryError::Stopped, message, .. }) => {
-                match self.successor() {
-                    Ok(successor) => successor.0.offer(message),
-                    Err(why) => Err(SendError::new(why, message)),
-                }
-            }
-            offered => offered,
-        }
+        self.or_successor(self.0.offer(message), |successor, message| successor.0.offer(message))
     }
 
     fn space(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
@@ -209,7 +210,7 @@ impl<C: Handle<M>, M: Contract> Skeleton for LocalSkeleton<C, M> {
 
     fn turn(&self) -> u64 {
         let placement = self.cell.record.arbiter();
-        placement.map_or(0, |placement| placement.slot.activity.read().turn)
+        placement.map_or(0, |placement| placement.slot.activity.mark().turn)
     }
 
     fn space(&self) -> Option<CapacityFuture> {

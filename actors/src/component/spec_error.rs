@@ -26,22 +26,22 @@ pub enum SpecError {
         "the name {name} is reserved: those that begin with `chain/` or `net/` are the middleware's own"
     )]
     Reserved {
-        /// The name.
+        /// The reserved name.
         name: ObjectName,
     },
     /// The component listens to a topic that carries another contract of the same name.
     #[error("{name} cannot listen to a topic: {why}")]
     Topic {
-        /// The component.
+        /// The component that listens.
         name: ObjectName,
-        /// What differs.
+        /// How the two contracts differ.
         why: DeliveryError,
     },
     /// A variable is invalid: its default is larger than its contract allows, or its own check
     /// refuses it.
     #[error("a variable of {name} cannot be: {why}")]
     Variable {
-        /// The component.
+        /// The component that declares the variable.
         name: ObjectName,
         /// What is wrong.
         why: DeliveryError,
@@ -49,7 +49,7 @@ pub enum SpecError {
     /// Its parameters are given a value that they do not take.
     #[error("parameters of {name}{}: {error}", in_file(.file.as_ref()))]
     Parameters {
-        /// The component.
+        /// The component whose parameters these are.
         name: ObjectName,
         /// The file that the value stands in, where it is from one.
         file: Option<PathBuf>,
@@ -59,7 +59,7 @@ pub enum SpecError {
     /// An actuator is invalid: its safe command is larger than its contract allows.
     #[error("an actuator of {name} cannot be: {why}")]
     Actuator {
-        /// The component.
+        /// The component that declares the actuator.
         name: ObjectName,
         /// What is wrong.
         why: DeliveryError,
@@ -68,7 +68,7 @@ pub enum SpecError {
     /// no such field or another unit.
     #[error("actuator {contract} of {name}: {why}")]
     ActuatorSettings {
-        /// The component.
+        /// The component that the settings are for.
         name: ObjectName,
         /// The contract of the actuator's commands, as the settings name it.
         contract: String,
@@ -90,7 +90,7 @@ pub enum SpecError {
     /// It was to be added to a supervisor that this node does not have.
     #[error("this node has no supervisor {name}{}", did_you_mean(nearest.as_ref()))]
     NoSupervisor {
-        /// The name.
+        /// The name that no supervisor of this node has.
         name: String,
         /// The supervisor whose name is spelt most like it.
         nearest: Option<ObjectName>,
@@ -106,7 +106,7 @@ pub enum SpecError {
     /// Its [`Component::ports`](crate::Component::ports), or what that calls, panicked.
     #[error("{name} cannot say what its ports are: {panicked}")]
     Ports {
-        /// The component.
+        /// The component whose `ports` panicked.
         name: ObjectName,
         /// Where, and the panic's text.
         panicked: String,
@@ -115,7 +115,7 @@ pub enum SpecError {
     #[cfg(feature = "device")]
     #[error("the device {name} cannot be: {why}")]
     Device {
-        /// The device.
+        /// The name of the device's component.
         name: ObjectName,
         /// The setting of its [`DeviceSpec`](crate::DeviceSpec) that is wrong.
         setting: &'static str,
@@ -126,7 +126,7 @@ pub enum SpecError {
     #[cfg(feature = "process")]
     #[error("the process {name} cannot be: {why}")]
     Process {
-        /// The process.
+        /// The name of the process's component.
         name: ObjectName,
         /// The setting of its [`ProcessSpec`](crate::ProcessSpec) that is wrong.
         setting: &'static str,
@@ -136,11 +136,11 @@ pub enum SpecError {
     /// A setting makes no sense.
     #[error("{setting} of {name} is {value}: {cure}")]
     Setting {
-        /// The component.
+        /// The component or supervisor that has the setting.
         name: String,
-        /// The setting.
+        /// The name of the setting, such as `max_block`.
         setting: &'static str,
-        /// Its value.
+        /// The value that was given.
         value: String,
         /// What to write instead.
         cure: &'static str,
@@ -151,17 +151,17 @@ pub enum SpecError {
          `only_if`, or name another topic by `.on(\"…\")`"
     )]
     ListenTwice {
-        /// The component.
+        /// The component that listens twice.
         name: ObjectName,
-        /// The topic.
+        /// The topic that it listens to.
         topic: String,
     },
     /// A port has a name that cannot be, or that another port has.
     #[error("the port `{port}` of {name}: {why}")]
     Port {
-        /// The component.
+        /// The component that declares the port.
         name: ObjectName,
-        /// The port.
+        /// The name of the port, as it is declared.
         port: String,
         /// What is wrong, and what to write.
         why: String,
@@ -169,7 +169,7 @@ pub enum SpecError {
     /// Two ports have contracts of one name, so only one of them could be reached.
     #[error("{name} has two ports for {contract:?}, {ports}: leave one of them out")]
     PortTwice {
-        /// The component.
+        /// The component that declares both ports.
         name: ObjectName,
         /// The contract's name.
         contract: &'static str,

@@ -13,7 +13,6 @@ pub(crate) trait Subscription<C: Component>: Send + Sync {
     fn attach(&self, cell: &Arc<ComponentCell<C>>);
     /// From now on none are.
     fn end(&self, cell: &ComponentCell<C>);
-    /// The topic.
     fn topic(&self) -> &ObjectName;
     /// Whether events are delivered.
     fn is_attached(&self) -> bool;

@@ -29,7 +29,7 @@ struct RoundTripEcho;
 
 /// Answers other nodes.
 pub(super) fn serve(registry: &Registry) {
-    let serve = |_, _: MessageOrigin, answer: Responder<RoundTripEcho>| answer.give(());
+    let serve = |_, _: MessageOrigin, responder: Responder<RoundTripEcho>| responder.give(());
     let port = ContractPort::of_service_fn(ServiceFn::<RoundTripEcho>(Arc::new(serve)));
     registry.register_hidden(ObjectName::new(OBJECT).expect("a name of letters"), port);
 }

@@ -38,7 +38,7 @@ use tokio::sync::watch;
 pub struct ConditionStatus {
     /// How it is.
     pub state: ConditionState,
-    /// Since when.
+    /// When the state last changed.
     pub since: Instant,
     /// Which channels keep it from being connected, or all of them where it is, with the figures.
     pub cause: String,
@@ -88,7 +88,7 @@ pub enum ConditionError {
     /// The name of the condition does not parse.
     #[error("condition {condition:?}: {error}")]
     Name {
-        /// The condition.
+        /// The name that was given.
         condition: String,
         /// What is wrong with the name.
         error: NameError,
@@ -96,14 +96,14 @@ pub enum ConditionError {
     /// A condition of this name needs something else. Give one of them another name.
     #[error("condition {condition:?} is declared already, and needs something else: rename one")]
     Taken {
-        /// The condition.
+        /// The name that both conditions have.
         condition: String,
     },
     /// A name does not parse, a topic carries another contract, a number makes no sense, the node
     /// has too many conditions or has ended.
     #[error("condition {condition:?}: {reason}")]
     Refused {
-        /// The condition.
+        /// The name of the refused condition.
         condition: String,
         /// The channel that is wrong, by its place, from 0, and the setting of it, such as
         /// `max_loss`; empty for the channel itself.

@@ -43,7 +43,6 @@ struct ConditionTable {
     ended: bool,
 }
 
-/// One condition.
 struct Entry {
     name: Arc<str>,
     needs: Connected,
@@ -159,11 +158,11 @@ impl Conditions {
             return Err(refused(reason));
         }
         let default = wiring.timeout.unwrap_or(TIMEOUT);
-        let (mut sources, mut patience) = (Vec::new(), Duration::ZERO);
+        let (mut sources, mut timeout) = (Vec::new(), Duration::ZERO);
         let judges = needs.try_map(name, &mut |spec, channel| {
             sources.push(ChannelSource::open(spec, channel, wiring, &object)?);
             let rules = spec.rules(default);
-            patience = patience.max(match rules.presence {
+            timeout = timeout.max(match rules.presence {
                 Presence::Heard { .. } => spec.timeout.unwrap_or(default),
                 Presence::Rate { window, .. } => window,
             });
@@ -174,7 +173,7 @@ impl Conditions {
         let entry = Entry {
             name: name.into(),
             needs: needs.clone(),
-            expected_by: now + patience,
+            expected_by: now + timeout,
             judges,
             sources,
             status: watch::Sender::new(status),

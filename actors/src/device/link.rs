@@ -80,7 +80,7 @@ pub(super) struct DeviceLink {
     pub(super) config: HostConfig<Vec<Port>>,
     /// The contracts of the ports, for display, and what says how one differs.
     pub(super) contracts: Vec<ShownContract>,
-    /// By port.
+    /// Indexed by the number of the port.
     pub(super) receivers: Vec<Option<Receive>>,
     pub(super) status: watch::Sender<DeviceStatus>,
     orders: Mutex<Orders>,

@@ -34,7 +34,7 @@ const OWN_INTERVAL: Duration = Duration::from_millis(200);
 /// How often it is looked at what was refused.
 const REFUSAL_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
-/// What the body is made of.
+/// What a [`DirectoryActor`] is made of.
 #[derive(Clone)]
 pub(crate) struct DirectorySetup {
     pub(crate) node: NodeName,
@@ -58,7 +58,6 @@ struct Own {
     unattended: bool,
 }
 
-/// The body.
 pub(crate) struct DirectoryActor {
     setup: DirectorySetup,
     machine: Directory,
@@ -76,11 +75,11 @@ pub(crate) struct DirectoryActor {
     reported_conflict: Option<String>,
     /// As of which revisions of the registry and the topics other nodes know what is here.
     revisions: Option<(u64, u64)>,
-    /// How many objects and publishers they are not told of.
+    /// How many objects and publishers of this node are not reported to other nodes.
     untold: usize,
 }
 
-/// Where the body is told and asked.
+/// Where a [`DirectoryActor`] receives its messages.
 pub(crate) struct DirectoryRecipients {
     pub(crate) peers: Recipient<PeerStatusChanged>,
     pub(crate) rosters: Recipient<RosterChanged>,
@@ -116,14 +115,14 @@ impl DirectoryActor {
                 setup,
             }
         };
-        let body = guardian.start(crate::net::named("directory"), arbiter, make);
-        names.lead_to(body.clone().recipient());
+        let actor = guardian.start(crate::net::named("directory"), arbiter, make);
+        names.lead_to(actor.clone().recipient());
         DirectoryRecipients {
             #[cfg(test)]
-            panic: body.clone().recipient(),
-            peers: body.clone().recipient(),
-            rosters: body.clone().recipient(),
-            pings: body.recipient(),
+            panic: actor.clone().recipient(),
+            peers: actor.clone().recipient(),
+            rosters: actor.clone().recipient(),
+            pings: actor.recipient(),
         }
     }
 
@@ -252,10 +251,10 @@ impl Actor for DirectoryActor {
         if let Some(policy) = self.setup.registry.access().policy() {
             self.machine.handle_access((*policy).clone(), platform::now());
         }
-        context.run_interval(REFUSAL_CHECK_INTERVAL, |body, _| body.look_at_refusals());
-        context.run_interval(OWN_INTERVAL, |body, context| {
-            body.look_at_own();
-            body.drive(context);
+        context.run_interval(REFUSAL_CHECK_INTERVAL, |actor, _| actor.look_at_refusals());
+        context.run_interval(OWN_INTERVAL, |actor, context| {
+            actor.look_at_own();
+            actor.drive(context);
         });
         self.look_at_own();
         self.drive(context);
@@ -484,15 +483,15 @@ mod tests {
             let _ports = DirectoryActor::start(setup, &Guardian::default(), None);
             let claim = Claim::make(&names, wanted()).await.unwrap();
 
-            names.claim_unattended(wanted(), 98);
+            drop(names.claim(wanted(), 98, true));
             assert_eq!(declared.expect().await.kind, FaultKind::NameTaken);
             cleared.expect_none_for(Duration::from_secs(100)).await;
             drop(claim);
-            names.claim_unattended(wanted(), 99);
+            drop(names.claim(wanted(), 99, true));
             cleared.expect_none_for(Duration::from_secs(100)).await;
             names.withdraw(&wanted().name, 99);
             // The next incarnation of the one that was refused.
-            names.claim_unattended(wanted(), 98);
+            drop(names.claim(wanted(), 98, true));
 
             assert_eq!(cleared.expect().await.kind, FaultKind::NameTaken);
         });
@@ -506,8 +505,8 @@ mod tests {
             let setup = DirectorySetup { cleared: Some(cleared.recipient()), ..setup(&names) };
             let _ports = DirectoryActor::start(setup, &Guardian::default(), None);
             let _claim = Claim::make(&names, wanted()).await.unwrap();
-            names.claim_unattended(wanted(), 98);
-            names.claim_unattended(wanted(), 99);
+            drop(names.claim(wanted(), 98, true));
+            drop(names.claim(wanted(), 99, true));
 
             names.withdraw(&wanted().name, 98);
             cleared.expect_none_for(Duration::from_secs(100)).await;

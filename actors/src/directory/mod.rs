@@ -86,7 +86,7 @@ impl Claim {
         wanted: ClaimRequest,
     ) -> Result<Self, ClaimError> {
         let (name, number) = (wanted.name.clone(), names.number());
-        let state = names.claim(wanted, number);
+        let state = names.claim(wanted, number, false);
         let mut claim = Claim { name, number, names: names.clone(), state };
         let decided = claim.state.wait_for(|state| *state != ClaimState::Waiting).await;
         match decided.map(|state| state.clone()) {
@@ -96,7 +96,7 @@ impl Claim {
         }
     }
 
-    /// The name.
+    /// Returns the global name that is claimed.
     pub fn name(&self) -> &ObjectName {
         &self.name
     }
@@ -176,7 +176,7 @@ impl NameWatch {
 /// One other node, for display.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NodeRow {
-    /// Which.
+    /// The name of the node.
     pub node: NodeName,
     /// In which incarnation.
     pub incarnation: Incarnation,
@@ -187,7 +187,7 @@ pub struct NodeRow {
 /// A global name and its holder, for display.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ClaimRow {
-    /// The name.
+    /// The global name.
     pub name: ObjectName,
     /// The holder, and the epoch of its claim.
     pub holder: Holder,

@@ -63,7 +63,7 @@ struct Claims {
 impl CellListener for Claims {
     fn activated(&self) {
         for (wanted, number) in &self.claims {
-            self.names.claim_unattended(wanted.clone(), *number);
+            drop(self.names.claim(wanted.clone(), *number, true));
         }
     }
 

@@ -1,7 +1,7 @@
 //! What this node knows of the directory, readable on every thread.
 
 use super::{ClaimRow, ClaimState, NodeRow};
-use crate::platform;
+use crate::platform::{self, lock};
 use crate::registry::remote::NameResolver;
 use actix::{Message, Recipient};
 use blastema_core::directory::{ClaimRequest, DirectoryKey, Holder};
@@ -9,10 +9,10 @@ use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{Incarnation, Instant, NodeName, ObjectAddress, ObjectName};
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock};
 use tokio::sync::watch;
 
-/// What is wanted of the body.
+/// A request of an object of this node to the directory's actor.
 #[derive(Message)]
 #[rtype(result = "()")]
 pub(crate) enum ClaimCommand {
@@ -53,7 +53,7 @@ struct Inner {
     known: Mutex<SortedMap<ObjectName, HolderRecord>>,
     nodes: Mutex<SortedMap<NodeName, NodeEntry>>,
     revision: watch::Sender<u64>,
-    body: OnceLock<Recipient<ClaimCommand>>,
+    actor: OnceLock<Recipient<ClaimCommand>>,
     next: AtomicU64,
 }
 
@@ -64,14 +64,14 @@ pub(crate) struct DirectoryTable(Arc<Inner>);
 impl Default for DirectoryTable {
     fn default() -> Self {
         let (revision, _) = watch::channel(0);
-        let (known, nodes, body) = Default::default();
-        DirectoryTable(Arc::new(Inner { known, nodes, revision, body, next: AtomicU64::new(1) }))
+        let (known, nodes, actor) = Default::default();
+        DirectoryTable(Arc::new(Inner { known, nodes, revision, actor, next: AtomicU64::new(1) }))
     }
 }
 
 impl NameResolver for DirectoryTable {
     fn holder(&self, name: &ObjectName) -> Option<Holder> {
-        self.lock().get(name).map(|known| known.holder.clone())
+        lock(&self.0.known).get(name).map(|known| known.holder.clone())
     }
 
     fn revision(&self) -> watch::Receiver<u64> {
@@ -80,17 +80,9 @@ impl NameResolver for DirectoryTable {
 }
 
 impl DirectoryTable {
-    fn lock(&self) -> MutexGuard<'_, SortedMap<ObjectName, HolderRecord>> {
-        self.0.known.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn nodes(&self) -> MutexGuard<'_, SortedMap<NodeName, NodeEntry>> {
-        self.0.nodes.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// A session with this node has begun.
     pub(crate) fn note_opened(&self, node: NodeName, incarnation: Incarnation) {
-        let mut nodes = self.nodes();
+        let mut nodes = lock(&self.0.nodes);
         let entry = nodes.entry(node).or_default();
         (entry.incarnation, entry.open) = (incarnation, true);
     }
@@ -102,7 +94,7 @@ impl DirectoryTable {
 
     /// This node has an object, or a publisher.
     pub(crate) fn add(&self, node: NodeName, key: DirectoryKey) {
-        self.nodes().entry(node).or_default().records.insert(key);
+        lock(&self.0.nodes).entry(node).or_default().records.insert(key);
     }
 
     /// This node has it no more.
@@ -113,7 +105,7 @@ impl DirectoryTable {
     }
 
     fn change(&self, node: &NodeName, change: impl FnOnce(&mut NodeEntry)) {
-        let mut nodes = self.nodes();
+        let mut nodes = lock(&self.0.nodes);
         let Some(entry) = nodes.get_mut(node) else { return };
         change(entry);
         if !entry.open && entry.records.is_empty() {
@@ -123,14 +115,14 @@ impl DirectoryTable {
 
     /// The nodes with an open session that have this.
     pub(crate) fn nodes_with(&self, key: &DirectoryKey) -> Vec<NodeName> {
-        let nodes = self.nodes();
+        let nodes = lock(&self.0.nodes);
         let having = nodes.iter().filter(|(_, entry)| entry.open && entry.records.contains(key));
         having.map(|(node, _)| node.clone()).collect()
     }
 
     /// Every node that a session is open with, and its objects.
     pub(crate) fn node_rows(&self) -> Vec<NodeRow> {
-        let nodes = self.nodes();
+        let nodes = lock(&self.0.nodes);
         let open = nodes.iter().filter(|(_, entry)| entry.open);
         let row = |(node, entry): (&NodeName, &NodeEntry)| {
             let objects = entry.records.iter().filter_map(|key| match key {
@@ -146,27 +138,27 @@ impl DirectoryTable {
     }
 
     /// Claims are made there from now on.
-    pub(crate) fn lead_to(&self, body: Recipient<ClaimCommand>) {
+    pub(crate) fn lead_to(&self, actor: Recipient<ClaimCommand>) {
         // Called once, when the node starts.
-        let _ = self.0.body.set(body);
+        let _ = self.0.actor.set(actor);
     }
 
-    /// The body knows of another holder, or of none any more.
+    /// The actor knows of another holder, or of none any more.
     pub(crate) fn note(&self, name: ObjectName, holder: Option<(Holder, Incarnation)>) {
         match holder {
             Some((holder, incarnation)) => {
                 let since = platform::now();
-                self.lock().insert(name, HolderRecord { holder, incarnation, since });
+                lock(&self.0.known).insert(name, HolderRecord { holder, incarnation, since });
             }
-            None => drop(self.lock().remove(&name)),
+            None => drop(lock(&self.0.known).remove(&name)),
         }
         self.0.revision.send_modify(|revision| *revision += 1);
     }
 
     /// The actor restarts, and is told again.
     pub(crate) fn forget_all(&self) {
-        self.lock().clear();
-        self.nodes().values_mut().for_each(|entry| entry.records.clear());
+        lock(&self.0.known).clear();
+        lock(&self.0.nodes).values_mut().for_each(|entry| entry.records.clear());
     }
 
     /// All of them.
@@ -181,7 +173,7 @@ impl DirectoryTable {
                     age: now - *since,
                 }
             };
-        self.lock().iter().map(row).collect()
+        lock(&self.0.known).iter().map(row).collect()
     }
 
     /// The number of one more claim.
@@ -189,33 +181,25 @@ impl DirectoryTable {
         self.0.next.fetch_add(1, Relaxed)
     }
 
-    /// Claims a name, and tells how that stands.
-    pub(crate) fn claim(&self, wanted: ClaimRequest, number: u64) -> watch::Receiver<ClaimState> {
-        self.wish(wanted, number, false)
-    }
-
-    /// Claims a name for a component, whose incarnations have the same number.
-    pub(crate) fn claim_unattended(&self, wanted: ClaimRequest, number: u64) {
-        drop(self.wish(wanted, number, true));
-    }
-
-    fn wish(
+    /// Claims a name, and tells how that stands. A component's claim is unattended, and has the
+    /// same number in all its incarnations.
+    pub(crate) fn claim(
         &self,
         wanted: ClaimRequest,
         number: u64,
         unattended: bool,
     ) -> watch::Receiver<ClaimState> {
         let (state_sender, state) = watch::channel(ClaimState::Waiting);
-        if let Some(body) = self.0.body.get() {
-            body.do_send(ClaimCommand::Claim { wanted, number, state_sender, unattended });
+        if let Some(actor) = self.0.actor.get() {
+            actor.do_send(ClaimCommand::Claim { wanted, number, state_sender, unattended });
         }
         state
     }
 
     /// Gives it back.
     pub(crate) fn withdraw(&self, name: &ObjectName, number: u64) {
-        if let Some(body) = self.0.body.get() {
-            body.do_send(ClaimCommand::Withdraw { name: name.clone(), number });
+        if let Some(actor) = self.0.actor.get() {
+            actor.do_send(ClaimCommand::Withdraw { name: name.clone(), number });
         }
     }
 }

@@ -1,11 +1,12 @@
 //! Which supervisor keeps which object.
 
+use crate::platform::lock;
 use actix::prelude::*;
 use blastema_contract::reports::AreYouAlive;
 use blastema_contract::supervisor::{AddChild, ChildRequest, ReadTree};
 use blastema_core::sorted::SortedMap;
 use blastema_core::{ObjectName, suggestion};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 /// What a strategy, or the node, may ask of a supervisor.
 #[derive(Clone)]
@@ -107,6 +108,6 @@ impl SupervisorDirectory {
     fn entries(&self) -> MutexGuard<'_, Entries> {
         // Every change is a single insertion or removal: a panic in between leaves nothing half
         // done.
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.0)
     }
 }

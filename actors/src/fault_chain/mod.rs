@@ -1,6 +1,6 @@
 //! The fault chain: thin actors over the machines of `blastema_core::detection` and `recovery`.
 //!
-//! One actor is the body of monitor, detector and notifier, another of the recoverer, and each
+//! One actor drives monitor, detector and notifier, another drives the recoverer, and each
 //! supervisor has one. Each runs under the guardian. After a panic of its own, an actor keeps its
 //! addresses and the facts of its machine, in `restarting`. The input that caused the panic is lost,
 //! and unconfirmed outputs are sent again.

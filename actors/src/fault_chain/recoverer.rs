@@ -1,4 +1,4 @@
-//! The recoverer's body: it carries out its machine's orders, or has a strategy do so.
+//! The recoverer's actor: it carries out its machine's orders, or has a strategy do so.
 
 use super::strategy::{EngagedStrategy, StrategyContext, StrategyTable};
 use crate::platform;
@@ -27,7 +27,7 @@ pub(crate) struct RecovererSetup {
     /// How to make strategies.
     pub(crate) strategies: StrategyTable,
     /// What strategies are given.
-    pub(crate) tools: StrategyContext,
+    pub(crate) context: StrategyContext,
     /// Gets a report of what becomes of every fault.
     pub(crate) detector: Recipient<FaultOutcome>,
     /// Finds those that block.
@@ -61,8 +61,8 @@ impl RecovererActor {
     ) -> Result<Option<&EngagedStrategy>, RecoveryFailed> {
         let RecoveryAction::Custom(name) = action else { return Ok(None) };
         if !self.engaged.get(action).is_some_and(EngagedStrategy::is_usable) {
-            let RecovererSetup { strategies, tools, callbacks, .. } = &self.setup;
-            let strategy = strategies.make(name, tools.clone(), callbacks)?;
+            let RecovererSetup { strategies, context, callbacks, .. } = &self.setup;
+            let strategy = strategies.make(name, context.clone(), callbacks)?;
             self.engaged.insert(action.clone(), strategy);
         }
         Ok(self.engaged.get(action))
@@ -75,12 +75,12 @@ impl RecovererActor {
         let strategy = strategy.map(|strategy| {
             strategy.map(|strategy| (strategy.orders.clone(), strategy.blocked_by()))
         });
-        let (given, tools) = (order.clone(), self.setup.tools.clone());
+        let (given, strategy_context) = (order.clone(), self.setup.context.clone());
         let carried_out = async move {
             let (orders, blocked_by) = match strategy {
                 Ok(Some(strategy)) => strategy,
                 Ok(None) => {
-                    let work = timeout(given.within, tools.carry_out(&given)).await;
+                    let work = timeout(given.within, strategy_context.carry_out(&given)).await;
                     let overdue = |_| Err(format!("not done within {:?}", given.within).into());
                     return Answer::Outcome(work.unwrap_or_else(overdue));
                 }
@@ -153,15 +153,12 @@ impl MachineActor for RecovererActor {
             RecovererOutput::Settle { fault: id, outcome: what } => {
                 self.setup.detector.do_send(FaultOutcome { id, at: platform::now(), what });
             }
-            RecovererOutput::Release { action } => {
-                self.engaged.remove(&action);
-            }
             RecovererOutput::AbandonIncarnation { fault } => {
-                self.setup.tools.give_up_incarnation(&fault)
+                self.setup.context.give_up_incarnation(&fault)
             }
             RecovererOutput::LastResort { fault, reason } => {
                 info!(location = %fault.location, kind = %fault.kind, reason, "the node enters the safe state");
-                self.setup.tools.rest_node(&fault, &reason);
+                self.setup.context.rest_node(&fault, &reason);
             }
         }
     }

@@ -1,4 +1,4 @@
-//! The supervisor's body: it holds the children, and does to them what its machine decides.
+//! The supervisor's actor: it holds the children and carries out what its machine decides.
 
 mod requests;
 mod tree;
@@ -12,7 +12,7 @@ use crate::runtime::guardian;
 use crate::runtime::guardian::Guardian;
 use crate::runtime::pending_answer::PendingAnswer;
 use actix::prelude::*;
-use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
+use blastema_contract::child::{Child, ChildEvent, ChildOrder, ChildReport};
 use blastema_contract::monitor::IsolationReported;
 use blastema_contract::reports::{
     Alive, AreYouAlive, ExitReason, Exited, FaultDeclared, StateReported,
@@ -31,12 +31,19 @@ type RecoveryResult = Result<Recovered, GaveUp>;
 
 /// What a supervisor is made of.
 pub(crate) struct SupervisorSetup {
-    /// Its name.
     pub(crate) name: ObjectName,
     /// How it decides.
     pub(crate) rules: SupervisorRules,
     /// Its children in their start order.
     pub(crate) children: Vec<(Box<dyn Child>, ChildRules)>,
+    /// Where it reports.
+    pub(crate) neighbours: SupervisorNeighbours,
+    /// Its name, which no other object has while it is there.
+    pub(crate) reserved: Option<ReservedName>,
+}
+
+/// Where a supervisor reports.
+pub(crate) struct SupervisorNeighbours {
     /// Gets a report of starts that took too long, and when it gives up.
     pub(crate) monitor: Recipient<FaultDeclared>,
     /// Gets a report when it is at work, and when it has ended.
@@ -45,8 +52,6 @@ pub(crate) struct SupervisorSetup {
     pub(crate) isolation: Recipient<IsolationReported>,
     /// Where strategies find the supervisor of an object.
     pub(crate) directory: SupervisorDirectory,
-    /// Its name, which no other object has while it is there.
-    pub(crate) reserved: Option<ReservedName>,
 }
 
 /// One node of the supervision tree.
@@ -61,10 +66,7 @@ pub(crate) struct SupervisorActor {
     parent: Option<Arc<Recipient<ChildReport>>>,
     /// Where its children report: all to the same, since each copy of a recipient costs memory.
     reports: Option<Arc<Recipient<ChildReport>>>,
-    monitor: Recipient<FaultDeclared>,
-    states: Recipient<StateReported>,
-    isolation: Recipient<IsolationReported>,
-    directory: SupervisorDirectory,
+    neighbours: SupervisorNeighbours,
     /// Where its incarnations can be watched.
     watched: Deaths,
     /// It was ordered to end in order to be restarted.
@@ -84,16 +86,15 @@ impl SupervisorActor {
         let name = setup.name.clone();
         // The guardian counts the incarnations of this actor, the parent those of the supervisor
         // that it plays: they must not be taken for each other.
-        let body = body_of(&name);
+        let actor = actor_of(&name);
         let watched = guardian.watched();
         let make = move |_: &mut Context<Self>| Self::new(setup, watched);
-        let address = guardian.start(body, arbiter, make);
-        SupervisorChild { name, address, report: None, reason: String::new() }
+        let address = guardian.start(actor, arbiter, make);
+        SupervisorChild { name, address }
     }
 
     fn new(setup: SupervisorSetup, watched: Deaths) -> Self {
-        let SupervisorSetup { name, rules, children: given, .. } = setup;
-        let SupervisorSetup { monitor, states, isolation, directory, reserved, .. } = setup;
+        let SupervisorSetup { name, rules, children: given, neighbours, reserved } = setup;
         let mut machine = Supervisor::new(rules);
         let is_taken_in = |(child, rules): &(Box<dyn Child>, ChildRules)| {
             let taken = machine.add_child(child.name().clone(), *rules, platform::now());
@@ -113,10 +114,7 @@ impl SupervisorActor {
             calls: 0,
             parent: None,
             reports: None,
-            monitor,
-            states,
-            isolation,
-            directory,
+            neighbours,
             watched,
             again: false,
             _reserved: reserved,
@@ -160,7 +158,7 @@ impl SupervisorActor {
     fn report_state(&self, state: Lifecycle) {
         let (object, incarnation) = (self.name.clone(), self.machine.incarnation());
         self.watched.enter(&object, incarnation, state);
-        self.states.do_send(StateReported { object, incarnation, state, reason: None });
+        self.neighbours.states.do_send(StateReported { object, incarnation, state, reason: None });
     }
 
     fn declare(
@@ -170,7 +168,13 @@ impl SupervisorActor {
         kind: FaultKind,
         detail: String,
     ) {
-        self.monitor.do_send(FaultDeclared { object, incarnation, kind, detail, hold: None });
+        self.neighbours.monitor.do_send(FaultDeclared {
+            object,
+            incarnation,
+            kind,
+            detail,
+            hold: None,
+        });
     }
 
     fn declare_storm(&self, reason: &str) {
@@ -182,12 +186,14 @@ impl SupervisorActor {
     /// No incarnation follows for any child: what waits for one is given back, also where none was
     /// left that could have been stopped.
     fn retire_all(&mut self) {
-        self.children.values_mut().for_each(|child| child.retire());
+        for child in self.children.values_mut() {
+            child.order(ChildOrder::Retire);
+        }
     }
 
     fn drop_child(&mut self, name: &ObjectName) {
         self.children.remove(name);
-        self.directory.remove(name);
+        self.neighbours.directory.remove(name);
     }
 
     /// Drops a child that the machine did not take.
@@ -225,29 +231,15 @@ impl MachineActor for SupervisorActor {
                     self.machine.handle_begun(&child, begun);
                 }
             }
-            SupervisorOutput::Stop { child, again } => {
-                let again = again || self.again;
-                match self.child(&child) {
-                    Some(child) if again => child.make_way(),
-                    Some(child) => child.stop(),
-                    None => {}
+            SupervisorOutput::Order { child: name, mut order } => {
+                if let ChildOrder::Stop { again } = &mut order {
+                    *again |= self.again;
                 }
-            }
-            SupervisorOutput::ExpectEnd(child) => self.with(&child, |child| child.expect_end()),
-            SupervisorOutput::Abandon(child) => self.with(&child, |child| child.abandon()),
-            SupervisorOutput::CutOff(child) => self.with(&child, |child| {
-                child.cut_off();
-            }),
-            SupervisorOutput::Reset(child) => self.with(&child, |child| child.reset()),
-            SupervisorOutput::Isolate { child, isolated } => {
-                if let Some(child) = self.child(&child) {
-                    let object = child.name().clone();
-                    child.isolate(isolated);
-                    self.isolation.do_send(IsolationReported { object, isolated });
+                let Some(child) = self.child(&name) else { return };
+                child.order(order);
+                if let ChildOrder::Isolate(isolated) = order {
+                    self.neighbours.isolation.do_send(IsolationReported { object: name, isolated });
                 }
-            }
-            SupervisorOutput::RestartGrant { child, order } => {
-                self.with(&child, |child| child.set_restart_grant(order))
             }
             SupervisorOutput::Recovered { call, child, incarnation } => {
                 self.answer(call, Ok(Recovered { object: child, incarnation, waits: false }));
@@ -262,20 +254,22 @@ impl MachineActor for SupervisorActor {
             SupervisorOutput::Refused { child, incarnation, reason } => {
                 self.declare(child.clone(), incarnation, FaultKind::UnexpectedExit, reason);
                 // What waits below for its next incarnation waits in vain.
-                self.with(&child, |child| child.retire());
+                if let Some(child) = self.child(&child) {
+                    child.order(ChildOrder::Retire);
+                }
             }
             SupervisorOutput::Unavailable(reason) => {
                 warn!(supervisor = %self.name, reason, "its start waits for what is not there yet");
                 self.tell_parent(ChildEvent::Unavailable { reason });
             }
             SupervisorOutput::Overdue { child, incarnation, limit } => {
-                let is_reported = self.child(&child).is_some_and(|child| child.cut_off());
+                let is_reported =
+                    self.child(&child).is_some_and(|child| child.order(ChildOrder::CutOff));
                 if !is_reported {
                     let detail = format!("it was not at work within {limit:?}");
                     self.declare(child, incarnation, FaultKind::InitializationFailed, detail);
                 }
             }
-            SupervisorOutput::Retire(child) => self.with(&child, |child| child.retire()),
             SupervisorOutput::Left(child) => self.drop_child(&child),
             SupervisorOutput::GiveUp(reason) => {
                 self.declare_storm(&reason);
@@ -329,7 +323,7 @@ impl Actor for SupervisorActor {
             pings: address.clone().recipient(),
             read: address.recipient(),
         };
-        self.directory.enter(&self.name, ports, self.children.keys());
+        self.neighbours.directory.enter(&self.name, ports, self.children.keys());
         self.drive(context);
     }
 }
@@ -353,23 +347,35 @@ impl Handler<SupervisorOrder> for SupervisorActor {
                 (self.parent, self.again) = (Some(report), false);
                 self.machine.handle_begin(incarnation, now);
             }
-            SupervisorOrder::Stop { again } => {
+            SupervisorOrder::Carry(ChildOrder::Stop { again }) => {
                 self.again = again;
                 self.machine.handle_end(now);
             }
-            SupervisorOrder::ExpectEnd => self.machine.handle_end_expected(now),
-            SupervisorOrder::Abandon => {
+            SupervisorOrder::Carry(ChildOrder::Retire) => {
+                self.again = false;
+                self.machine.handle_end(now);
+            }
+            SupervisorOrder::Carry(ChildOrder::ExpectEnd) => self.machine.handle_end_expected(now),
+            SupervisorOrder::Carry(ChildOrder::Abandon | ChildOrder::CutOff) => {
                 self.watched.end(&self.name, DownReason::Abandoned);
                 self.machine.handle_forsake(now);
             }
-            SupervisorOrder::Isolate { isolated, reason } => {
-                self.children.values_mut().for_each(|child| child.explain_isolation(&reason));
+            SupervisorOrder::Carry(ChildOrder::Isolate(isolated)) => {
                 self.machine.handle_isolate_all(isolated, now);
             }
+            SupervisorOrder::Carry(ChildOrder::Reset) => {
+                let reason = "a supervisor is restarted, not reset".into();
+                self.tell_parent(ChildEvent::ResetFailed { reason });
+            }
+            // The guardian restarts it itself; it needs no permission.
+            SupervisorOrder::Carry(ChildOrder::RestartGrant(_)) => {}
+            SupervisorOrder::ExplainIsolation(reason) => {
+                self.children.values_mut().for_each(|child| child.explain_isolation(&reason));
+            }
             SupervisorOrder::Forget => {
-                self.directory.forget(&self.name);
+                self.neighbours.directory.forget(&self.name);
                 self.watched.forget(&self.name);
-                self.watched.forget(&body_of(&self.name));
+                self.watched.forget(&actor_of(&self.name));
                 return context.stop();
             }
         }
@@ -426,10 +432,10 @@ impl Handler<Exited> for SupervisorActor {
     }
 }
 
-/// Under which name the guardian counts the incarnations of a supervisor's actor.
-fn body_of(supervisor: &ObjectName) -> ObjectName {
-    let body = ObjectName::new(&format!("chain/supervisor/{supervisor}"));
-    body.unwrap_or_else(|_| supervisor.clone())
+/// The name under which the guardian counts the incarnations of a supervisor's actor.
+fn actor_of(supervisor: &ObjectName) -> ObjectName {
+    let actor = ObjectName::new(&format!("chain/supervisor/{supervisor}"));
+    actor.unwrap_or_else(|_| supervisor.clone())
 }
 
 fn in_order(exit: &ExitReason) -> bool {
@@ -448,7 +454,7 @@ impl Handler<AddChild> for SupervisorActor {
         }
         // The machine starts it at once, or says that it has left.
         self.children.insert(object.clone(), child);
-        self.directory.add(&self.name, object.clone());
+        self.neighbours.directory.add(&self.name, object.clone());
         if whole {
             let answer = self.ask(context, object.clone(), |machine, object, call, now| {
                 machine.handle_add(object, rules, call, now);
@@ -471,9 +477,6 @@ impl Handler<AddChild> for SupervisorActor {
 pub(crate) struct SupervisorChild {
     name: ObjectName,
     address: Addr<SupervisorActor>,
-    report: Option<(Incarnation, Arc<Recipient<ChildReport>>)>,
-    /// Why its children are isolated, or soon will be.
-    reason: String,
 }
 
 impl SupervisorChild {
@@ -504,51 +507,17 @@ impl Child for SupervisorChild {
         incarnation: Incarnation,
         report: Arc<Recipient<ChildReport>>,
     ) -> Incarnation {
-        self.report = Some((incarnation, report.clone()));
         self.address.do_send(SupervisorOrder::Start { incarnation, report });
         incarnation
     }
 
-    fn stop(&mut self) {
-        self.address.do_send(SupervisorOrder::Stop { again: false });
-    }
-
-    fn make_way(&mut self) {
-        self.address.do_send(SupervisorOrder::Stop { again: true });
-    }
-
-    fn expect_end(&mut self) {
-        self.address.do_send(SupervisorOrder::ExpectEnd);
-    }
-
-    fn retire(&mut self) {
-        self.address.do_send(SupervisorOrder::Stop { again: false });
-    }
-
-    fn abandon(&mut self) {
-        self.address.do_send(SupervisorOrder::Abandon);
-    }
-
-    fn reset(&mut self) {
-        if let Some((incarnation, report)) = &self.report {
-            let reason = "a supervisor is restarted, not reset".into();
-            let (object, incarnation) = (self.name.clone(), *incarnation);
-            let event = ChildEvent::ResetFailed { reason };
-            report.do_send(ChildReport { object, incarnation, event });
-        }
-    }
-
-    fn isolate(&mut self, isolated: bool) {
-        let reason = self.reason.clone();
-        self.address.do_send(SupervisorOrder::Isolate { isolated, reason });
+    fn order(&mut self, order: ChildOrder) -> bool {
+        self.address.do_send(SupervisorOrder::Carry(order));
+        false
     }
 
     fn explain_isolation(&mut self, reason: &str) {
-        reason.clone_into(&mut self.reason);
-    }
-
-    fn set_restart_grant(&mut self, _: Option<RestartGrant>) {
-        // The guardian restarts it itself; it needs no permission.
+        self.address.do_send(SupervisorOrder::ExplainIsolation(reason.to_owned()));
     }
 }
 

@@ -7,18 +7,15 @@ use crate::platform;
 use crate::runtime::guardian::Guardian;
 use actix::prelude::*;
 use blastema_contract::Confirmed;
-use blastema_contract::detector::{FaultEvent, FaultOutcome, ReadRecord, Subscribe};
-use blastema_contract::monitor::{LinkReported, NodeReported, ReadTable, Register};
+use blastema_contract::detector::{FaultEvent, Subscribe};
+use blastema_contract::monitor::{ReadTable, Register};
 use blastema_contract::notifier::AddPort;
-use blastema_contract::recoverer::{CancelRecovery, Recover};
+use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::{
     Alive, AreYouAlive, ExitReason, Exited, LivenessReported, StateReported,
 };
 use blastema_core::detection::hang::LivenessEvent;
-use blastema_core::detection::{
-    FaultTransition, Finding, LinkCondition, NodeCondition, Opinion, RecovererPort,
-    RecoveryOutcome, Registration,
-};
+use blastema_core::detection::{FaultTransition, Finding, RecovererPort, Registration};
 use blastema_core::{FaultKind, Incarnation, Lifecycle, NodeName, ObjectName};
 use blastema_doubles::{Probe, advance, paused, settle};
 use std::time::Duration;
@@ -51,7 +48,6 @@ impl Handler<Strike> for DetectionActor {
 struct Chain {
     actor: Addr<DetectionActor>,
     recoverer: Probe<Recover>,
-    stand_downs: Probe<CancelRecovery>,
     deaths: Probe<Exited>,
     events: Probe<FaultEvent>,
 }
@@ -62,13 +58,11 @@ impl Chain {
         let guardian = Guardian::reporting_to(deaths.recipient());
         let actor = guardian.start(object("chain"), None, |_| DetectionActor::new(node("m")));
         let recoverer = Probe::replying(|_: &Recover| Confirmed);
-        let stand_downs = Probe::replying(|_: &CancelRecovery| Confirmed);
-        let stand_down = Some(stand_downs.recipient());
         let recover = recoverer.recipient();
-        actor.do_send(AddPort { port: RecovererPort::Local, recover, stand_down });
+        actor.do_send(AddPort { port: RecovererPort::Local, recover, stand_down: None });
         let events = Probe::start();
         actor.do_send(Subscribe(events.recipient()));
-        Chain { actor, recoverer, stand_downs, deaths, events }
+        Chain { actor, recoverer, deaths, events }
     }
 
     fn enrol(&self, enrolment: Registration) {
@@ -83,15 +77,6 @@ impl Chain {
             finding: Finding::Silent { age: silent_for },
         };
         self.actor.do_send(LivenessReported(silent));
-    }
-
-    fn speech(&self, name: &str) {
-        let spoke = LivenessEvent::Component {
-            object: object(name),
-            incarnation: ONE,
-            finding: Finding::Spoke,
-        };
-        self.actor.do_send(LivenessReported(spoke));
     }
 
     fn panic(&self, name: &str) {
@@ -115,48 +100,6 @@ fn a_panic_reaches_the_recoverer_without_any_time_passing() {
         assert_eq!(fault.detail, "boom, at arm.rs:7, in Move");
         assert_eq!(platform::now(), before);
         assert_eq!(chain.events.expect().await.turn, FaultTransition::Found);
-    });
-}
-
-#[test]
-fn a_silent_arm_is_reported_once_and_cleared_when_it_speaks_again() {
-    paused(async {
-        let chain = Chain::start();
-        chain.enrol(Registration::new(object("arm")));
-        chain.silence("arm");
-        let fault = chain.recoverer.expect().await.fault;
-        assert_eq!(fault.kind, FaultKind::Silence);
-        let decided = RecoveryOutcome::Decided { action: "restart".into() };
-        let at = platform::now();
-        chain.actor.do_send(FaultOutcome { id: fault.id, at, what: decided });
-        chain.recoverer.expect_none_for(Duration::from_secs(10)).await;
-
-        chain.speech("arm");
-        assert_eq!(chain.stand_downs.expect().await.id, fault.id);
-        let turns: Vec<FaultTransition> =
-            chain.events.drain().into_iter().map(|e| e.turn).collect();
-        let action = "restart".into();
-        assert_eq!(
-            turns,
-            [FaultTransition::Found, FaultTransition::Decided { action }, FaultTransition::Cleared]
-        );
-    });
-}
-
-#[test]
-fn an_object_that_is_asked_and_answers_is_trusted() {
-    paused(async {
-        let chain = Chain::start();
-        let arm =
-            Probe::replying(|_: &AreYouAlive| Alive { incarnation: ONE, state: Lifecycle::Active });
-        let enrolment = Registration::new(object("arm"));
-        chain.actor.do_send(Register { enrolment, pings: Some(arm.recipient()) });
-        advance(Duration::from_millis(9500)).await;
-
-        assert_eq!(arm.recorded(), 10);
-        let table = chain.actor.send(ReadTable).await.expect("the monitor lives");
-        assert_eq!(table[0].opinion, Opinion::Trusted);
-        assert_eq!(chain.recoverer.recorded(), 0);
     });
 }
 
@@ -215,36 +158,6 @@ fn a_stall_of_the_whole_process_condemns_nobody() {
         advance(Duration::from_secs(4)).await;
 
         assert_eq!(chain.recoverer.recorded(), 0);
-    });
-}
-
-#[test]
-fn the_links_of_a_lost_node_are_told_as_its_symptoms() {
-    paused(async {
-        let chain = Chain::start();
-        for link in ["ethernet", "ieee1394"] {
-            let reason = "three hellos missed".into();
-            chain.actor.do_send(LinkReported {
-                node: node("m"),
-                link: link.into(),
-                neighbour: Some(node("n")),
-                condition: LinkCondition::Down { reason },
-            });
-        }
-        let condition = NodeCondition::Lost { reason: "no path is left".into() };
-        chain.actor.do_send(NodeReported {
-            node: node("n"),
-            incarnation: Incarnation(77),
-            condition,
-        });
-        settle().await;
-
-        let record = chain.actor.send(ReadRecord).await.expect("the detector lives");
-
-        let kinds: Vec<_> = record.entries.iter().map(|e| e.fault.kind.clone()).collect();
-        assert_eq!(kinds, [FaultKind::NodeLost, FaultKind::LinkDown, FaultKind::LinkDown]);
-        let root = Some(record.entries[0].fault.id);
-        assert!(record.entries[1..].iter().all(|entry| entry.fault.symptom_of == root));
     });
 }
 

@@ -10,7 +10,7 @@ use crate::liveness::{label, sampler};
 use crate::messaging::death_watch::{DownReason, Watchable};
 use crate::messaging::injection::Injection;
 use actix::Recipient;
-use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
+use blastema_contract::child::{Child, ChildEvent, ChildOrder, ChildReport};
 use blastema_core::{DeliveryError, FaultKind, Incarnation, Lifecycle, ObjectName};
 use std::any::Any;
 use std::sync::Arc;
@@ -38,11 +38,7 @@ impl<C: Component> ComponentChild<C> {
     }
 
     /// An incarnation is there, or on its way.
-    fn is_alive(&self) -> bool {
-        self.cell.queue.owner().is_some()
-    }
-
-    fn order(&self, command: HostCommand) {
+    fn command(&self, command: HostCommand) {
         if let Some(control) = self.cell.control() {
             control.send(command);
         }
@@ -66,7 +62,7 @@ impl<C: Component> ComponentChild<C> {
             record.environment.watch_list.leave(placement.slot.index);
             let reading = placement.slot.activity.read();
             let during = label::name(reading.during);
-            if reading.turn % 2 == 1 && is_message(during) {
+            if reading.component.turn % 2 == 1 && is_message(during) {
                 record.record_dead_letter(during, &DeliveryError::PeerDied { incarnation });
             }
             record.record_fatal_message(incarnation);
@@ -76,7 +72,8 @@ impl<C: Component> ComponentChild<C> {
             if keeps_thread {
                 // The hang detector judges it no more.
                 if is_overdue && !heartbeat.is_fenced() {
-                    let is_named = reading.turn % 2 == 1 || reading.tasks || reading.condition;
+                    let is_named =
+                        reading.component.turn % 2 == 1 || reading.tasks || reading.condition;
                     let what = if is_named { sampler::during(&reading) } else { "its Drop" };
                     let phase = if is_start(during) { "start" } else { "stop" };
                     let detail = format!("{what} keeps its thread, and its {phase} was cut off");
@@ -158,33 +155,36 @@ impl<C: Component> Child for ComponentChild<C> {
         incarnation
     }
 
-    fn stop(&mut self) {
-        if self.is_alive() {
-            return self.order(HostCommand::Stop);
+    fn order(&mut self, order: ChildOrder) -> bool {
+        let is_alive = self.cell.queue.owner().is_some();
+        match order {
+            ChildOrder::Stop { again: true } if is_alive => self.command(HostCommand::MakeWay),
+            ChildOrder::Stop { .. } if is_alive => self.command(HostCommand::Stop),
+            ChildOrder::Stop { again } => {
+                if !again {
+                    self.cell.record.leave_work();
+                    self.cell.end();
+                }
+                self.tell(self.cell.record.incarnation(), ChildEvent::Stopped);
+            }
+            ChildOrder::ExpectEnd => {}
+            ChildOrder::Retire => {
+                self.give_up(false);
+                self.cell.end();
+            }
+            ChildOrder::Abandon => {
+                self.give_up(false);
+            }
+            ChildOrder::CutOff => return self.give_up(true),
+            ChildOrder::Reset if is_alive => self.command(HostCommand::Reset),
+            ChildOrder::Reset => {
+                let reason = "it is not alive".to_owned();
+                self.tell(self.cell.record.incarnation(), ChildEvent::ResetFailed { reason });
+            }
+            ChildOrder::Isolate(isolated) => self.cell.isolate(isolated),
+            ChildOrder::RestartGrant(grant) => self.cell.record.set_order(grant),
         }
-        self.cell.record.leave_work();
-        self.cell.end();
-        self.tell(self.cell.record.incarnation(), ChildEvent::Stopped);
-    }
-
-    fn make_way(&mut self) {
-        if self.is_alive() {
-            return self.order(HostCommand::MakeWay);
-        }
-        self.tell(self.cell.record.incarnation(), ChildEvent::Stopped);
-    }
-
-    fn retire(&mut self) {
-        self.give_up(false);
-        self.cell.end();
-    }
-
-    fn abandon(&mut self) {
-        self.give_up(false);
-    }
-
-    fn cut_off(&mut self) -> bool {
-        self.give_up(true)
+        false
     }
 
     fn move_to_own_thread(&mut self) -> Result<(), &'static str> {
@@ -198,51 +198,18 @@ impl<C: Component> Child for ComponentChild<C> {
         Ok(())
     }
 
-    fn reset(&mut self) {
-        if self.is_alive() {
-            return self.order(HostCommand::Reset);
-        }
-        let reason = "it is not alive".to_owned();
-        self.tell(self.cell.record.incarnation(), ChildEvent::ResetFailed { reason });
-    }
-
-    fn isolate(&mut self, isolated: bool) {
-        self.cell.isolate(isolated);
-    }
-
     fn explain_isolation(&mut self, reason: &str) {
         self.cell.record.cold().explain_isolation(Some(reason.to_owned()));
-    }
-
-    fn set_restart_grant(&mut self, order: Option<RestartGrant>) {
-        self.cell.record.set_order(order);
     }
 }
 
 impl<C: Component> Drop for ComponentChild<C> {
     fn drop(&mut self) {
-        self.abandon();
-        self.cell.end();
+        self.order(ChildOrder::Retire);
         let record = &self.cell.record;
         // Before the name is free for another component.
         record.announce(|listener| listener.removed());
         record.environment.registry.unregister(&record.name);
-    }
-}
-
-impl<C: Component> ComponentCell<C> {
-    /// The component is not started again for now: closes its queue and its subscriptions.
-    pub(crate) fn end(self: &Arc<Self>) {
-        self.close(&self.record.refusal(None).unwrap_or(DeliveryError::Stopped));
-        self.subscriptions().iter().for_each(|subscription| subscription.end(self));
-    }
-
-    /// The same, by the incarnation that ends in order.
-    pub(crate) fn end_by(&self, incarnation: Incarnation) {
-        if self.queue.owner() == Some(incarnation) {
-            self.close_by(incarnation);
-            self.subscriptions().iter().for_each(|subscription| subscription.end(self));
-        }
     }
 }
 

@@ -5,8 +5,7 @@ use crate::component::context::Context;
 use crate::component::{Component, Handle};
 use crate::messaging::death_watch::Watchable;
 use crate::messaging::error::{RequestError, SendError};
-use crate::messaging::retry;
-use crate::messaging::sender::{Sender, deliver, not_answered};
+use crate::messaging::sender::{Sender, ask_within, deliver};
 use crate::messaging::sink::MessageSink;
 use crate::settings::DEFAULT_DEADLINE;
 use blastema_core::{Contract, Incarnation, Lifecycle, ObjectName};
@@ -80,13 +79,7 @@ impl<C: Component> ActorRef<C> {
     where
         C: Handle<M>,
     {
-        let asked = async {
-            if M::IDEMPOTENT {
-                return retry::ask_idempotent::<M>(&*self.0, message, deadline).await;
-            }
-            MessageSink::ask(&*self.0, message, None, Some(deadline))?.within(deadline).await
-        };
-        asked.await.map_err(|error| not_answered(&*self.0, error, deadline))
+        ask_within(&*self.0, message, deadline).await
     }
 
     /// Returns a sender for one contract, without the component's type.

@@ -82,6 +82,10 @@ pub(crate) struct ScheduledWork<C: Component> {
     active: bool,
     /// Something was started and has not been polled yet.
     fresh: bool,
+    /// The last step went to a round or a timer, and the next one goes to a message.
+    message_next: bool,
+    /// The last turn went to the tasks, and the next one goes to the next step.
+    step_first: bool,
     /// There only while it holds something: most components wait for messages and nothing else.
     work: Option<Box<Work>>,
     /// Shared with the code that sets them, once it has set one.
@@ -117,6 +121,8 @@ impl<C: Component> Default for ScheduledWork<C> {
             is_precise: false,
             active: false,
             fresh: false,
+            message_next: false,
+            step_first: false,
             work: None,
             timers: None,
         }
@@ -285,6 +291,28 @@ impl<C: Component> ScheduledWork<C> {
     /// How many rounds have been missed since this was asked last.
     pub(crate) fn take_missed(&mut self) -> u64 {
         self.work.as_mut().map_or(0, |work| std::mem::take(&mut work.missed))
+    }
+
+    /// What is due first, unless it is a message's turn: one follows each round and timer, so that
+    /// those which are late all the time leave capacity.
+    #[inline]
+    pub(crate) fn next_in_turn(&mut self) -> Option<DueWork> {
+        if std::mem::take(&mut self.message_next) {
+            return None;
+        }
+        let due = self.next_due();
+        self.message_next = due.is_some();
+        due
+    }
+
+    /// Whether the turn that begins now begins with the tasks.
+    pub(crate) fn has_tasks_first(&mut self) -> bool {
+        !std::mem::take(&mut self.step_first)
+    }
+
+    /// The tasks were polled. If that has used the turn up, the next one does not begin with them.
+    pub(crate) fn end_poll(&mut self, is_spent: bool) {
+        self.step_first = is_spent;
     }
 
     /// What is due first.

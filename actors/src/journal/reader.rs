@@ -21,13 +21,13 @@ pub enum ReadError {
         path.display()
     )]
     Missing {
-        /// The path.
+        /// The path that was given.
         path: PathBuf,
     },
     /// The file is not a journal that this program can read.
     #[error("{} is no journal: {reason}", path.display())]
     NoJournal {
-        /// The path.
+        /// The path of the file.
         path: PathBuf,
         /// What is there instead.
         reason: String,
@@ -35,7 +35,7 @@ pub enum ReadError {
     /// The file cannot be read.
     #[error("the journal {} cannot be read: {reason}", path.display())]
     Unreadable {
-        /// The path.
+        /// The path of the journal.
         path: PathBuf,
         /// What the database said.
         reason: String,
@@ -57,7 +57,7 @@ pub struct JournalEntry {
     pub id: u64,
     /// The code of its kind.
     pub code: String,
-    /// Its kind.
+    /// The kind of fault, as text.
     pub kind: String,
     /// How bad it is: `warning`, `error` or `critical`; `note` for the end of a node.
     pub severity: String,
@@ -65,7 +65,7 @@ pub struct JournalEntry {
     pub location: String,
     /// Which incarnation of the place it struck last.
     pub incarnation: u64,
-    /// The particulars.
+    /// The particulars: a panic's text and source line, a check's value and limit.
     pub detail: String,
     /// How often it was seen while it stood.
     pub count: u64,

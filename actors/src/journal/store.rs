@@ -1,6 +1,7 @@
 //! The journal's database: its tables, and what is written into them.
 
 use super::WallTime;
+use crate::platform;
 use blastema_core::{Fault, Incarnation, Instant, NodeName};
 use rusqlite::{Connection, ErrorCode, OpenFlags, Statement, Transaction, params};
 use std::fs::File;
@@ -118,6 +119,13 @@ pub(super) struct Moment {
     pub(super) wall: WallTime,
 }
 
+impl Moment {
+    /// The present one.
+    pub(super) fn now() -> Self {
+        Moment { monotonic: platform::now(), wall: platform::wall_clock() }
+    }
+}
+
 /// What is to be written of one fault. What is `None` leaves what was written before.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct JournalRow {
@@ -129,7 +137,7 @@ pub(super) struct JournalRow {
     pub(super) given_up: Option<String>,
 }
 
-/// Who writes.
+/// The incarnation of a node that writes the journal.
 #[derive(Clone, Debug)]
 pub(super) struct Author {
     pub(super) node: NodeName,

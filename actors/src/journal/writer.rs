@@ -1,6 +1,5 @@
 //! The journal's thread, and the actor that gives it work.
 
-use super::WallTime;
 use super::lock::JournalLock;
 use super::store::{Author, JournalRow, Moment, Store, StoreError, StoreLimits};
 use crate::platform;
@@ -82,14 +81,13 @@ pub(crate) struct JournalGuard {
 impl JournalGuard {
     /// The node ends for this reason, which is the last entry.
     pub(crate) fn end(self, cause: &str) {
-        // Only a drop sets it too, and that follows.
+        // A guard ends once.
         let _ = self.ends.set(cause.to_owned());
     }
 }
 
 impl Drop for JournalGuard {
     fn drop(&mut self) {
-        self.ends.get_or_init(|| "the node did not come to be".to_owned());
         // If the queue is full, the thread sees `ends` when it has written all of it.
         let _ = self.queue.try_send(Work::End);
         let _ = self.ended.recv_timeout(LAST_STEPS);
@@ -100,7 +98,6 @@ impl Drop for JournalGuard {
 struct Writer {
     path: PathBuf,
     author: Author,
-    limits: StoreLimits,
     work: Receiver<Work>,
     ends: Arc<OnceLock<String>>,
     /// Dropped at the end, which the guard waits for.
@@ -124,8 +121,7 @@ impl JournalActor {
         let ends = Arc::<OnceLock<String>>::default();
         let guard = JournalGuard { queue: queue.clone(), ends: ends.clone(), ended: awaited };
         let author = Author { node, incarnation, started: platform::wall_clock() };
-        let limits = StoreLimits::default();
-        let thread = Writer { path: path.clone(), author, limits, work, ends, ended, lock };
+        let thread = Writer { path: path.clone(), author, work, ends, ended, lock };
         let actor = JournalActor {
             path,
             queue,
@@ -162,7 +158,7 @@ impl JournalActor {
             let Ok(record) = record else { return actor.fall_behind(context) };
             // Steps that come from here on are newer than the record, and follow it in the queue.
             actor.behind = false;
-            let now = Now::read();
+            let now = Moment::now();
             let lines = record.entries.into_iter().map(|entry| now.line_of_entry(entry));
             actor.hand_over(Work::Lines { lines: lines.collect(), whole: true }, context);
         }));
@@ -206,7 +202,7 @@ impl Handler<FaultEvent> for JournalActor {
 
     fn handle(&mut self, event: FaultEvent, context: &mut Context<Self>) {
         if !self.behind {
-            let lines = vec![Now::read().line_of_event(event)];
+            let lines = vec![Moment::now().line_of_event(event)];
             self.hand_over(Work::Lines { lines, whole: false }, context);
         }
     }
@@ -232,25 +228,16 @@ impl Handler<Wrote> for JournalActor {
     }
 }
 
-/// Both clocks, read together.
-struct Now {
-    monotonic: Instant,
-    wall: WallTime,
-}
-
-impl Now {
-    fn read() -> Self {
-        Now { monotonic: platform::now(), wall: platform::wall_clock() }
-    }
-
+/// The lines of faults, as they are written at this moment.
+impl Moment {
     /// An instant of the monotonic clock, with the wall clock's time by its present setting.
-    fn moment(&self, at: Instant) -> Moment {
+    fn of(&self, at: Instant) -> Moment {
         Moment { monotonic: at, wall: self.wall.before(self.monotonic - at) }
     }
 
     fn line_of_event(&self, event: FaultEvent) -> JournalRow {
         let FaultEvent { fault, at, turn } = event;
-        let at = self.moment(at);
+        let at = self.of(at);
         let over = fault.is_repaired_by_recovery();
         let mut line = self.blank(fault);
         match turn {
@@ -270,15 +257,15 @@ impl Now {
         let FaultEntry { fault, decided, recovered_at, repaired_at, given_up, .. } = entry;
         JournalRow {
             action: decided.map(|(_, action)| action),
-            recovered: recovered_at.map(|at| self.moment(at)),
-            repaired: repaired_at.map(|at| self.moment(at)),
+            recovered: recovered_at.map(|at| self.of(at)),
+            repaired: repaired_at.map(|at| self.of(at)),
             given_up: given_up.map(|(_, reason)| reason),
             ..self.blank(fault)
         }
     }
 
     fn blank(&self, fault: blastema_core::Fault) -> JournalRow {
-        let found = self.moment(fault.found_at);
+        let found = self.of(fault.found_at);
         JournalRow { fault, found, action: None, recovered: None, repaired: None, given_up: None }
     }
 }
@@ -318,9 +305,8 @@ impl Writer {
             }
         }
         if let (Some(store), Some(cause)) = (store, self.ends.get()) {
-            let now = Now::read();
             // What cannot be written now shows as the end of the process.
-            let _ = store.end(cause, now.moment(now.monotonic));
+            let _ = store.end(cause, Moment::now());
         }
         drop((self.lock, self.ended));
     }
@@ -377,7 +363,7 @@ impl Writer {
                         .map_err(|error| StoreError::Unwritable(error.to_string()))?,
                 };
                 let lock = self.lock.insert(lock);
-                let open = Store::open(&self.path, &self.author, self.limits)?;
+                let open = Store::open(&self.path, &self.author, StoreLimits::default())?;
                 lock.begin_run().map_err(|error| {
                     StoreError::Unwritable(format!("the lock of its run: {error}"))
                 })?;

@@ -6,7 +6,7 @@
 use crate::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use crate::sync::atomic::{AtomicBool, AtomicU32, AtomicU64};
 use blastema_core::Incarnation;
-use blastema_core::detection::hang::ActivityMark;
+use blastema_core::detection::hang::{ActivityMark, ComponentSample};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -43,18 +43,14 @@ pub(crate) struct ActivityRecord {
 /// What a look at an activity record finds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct ActivitySample {
-    pub(crate) turn: u64,
-    pub(crate) alive: u32,
-    pub(crate) incarnation: u64,
+    /// What it is judged by.
+    pub(crate) component: ComponentSample,
+    /// The number of the label of what is in service.
     pub(crate) during: u32,
-    pub(crate) speaks: bool,
+    /// A condition of a subscription is evaluated.
     pub(crate) condition: bool,
+    /// Its own tasks are polled.
     pub(crate) tasks: bool,
-    pub(crate) allowance: Duration,
-    pub(crate) interval: Duration,
-    pub(crate) ticks: u32,
-    pub(crate) missed_ticks: u64,
-    pub(crate) expired: u64,
 }
 
 impl ActivityRecord {
@@ -142,19 +138,21 @@ impl ActivityRecord {
 
     pub(crate) fn read(&self) -> ActivitySample {
         ActivitySample {
-            // First, so that the label is of this turn or of a later one: see `step`.
-            turn: self.turn.load(Acquire),
-            alive: self.alive.load(Relaxed),
-            incarnation: self.incarnation.load(Relaxed),
+            component: ComponentSample {
+                // First, so that the label is of this turn or of a later one: see `step`.
+                turn: self.turn.load(Acquire),
+                alive: self.alive.load(Relaxed).into(),
+                incarnation: Incarnation(self.incarnation.load(Relaxed)),
+                speaks: self.speaks.load(Relaxed),
+                allowance: Duration::from_millis(self.allowance.load(Relaxed).into()),
+                interval: Duration::from_nanos(self.interval.load(Relaxed)),
+                ticks: self.ticks.load(Relaxed),
+                missed_ticks: self.missed_ticks.load(Relaxed),
+                expired: self.expired.load(Relaxed),
+            },
             during: self.during.load(Relaxed),
-            speaks: self.speaks.load(Relaxed),
             condition: self.condition.load(Relaxed),
             tasks: self.tasks.load(Relaxed),
-            allowance: Duration::from_millis(self.allowance.load(Relaxed).into()),
-            interval: Duration::from_nanos(self.interval.load(Relaxed)),
-            ticks: self.ticks.load(Relaxed),
-            missed_ticks: self.missed_ticks.load(Relaxed),
-            expired: self.expired.load(Relaxed),
         }
     }
 }
@@ -249,9 +247,9 @@ mod tests {
 
         drop(slot);
 
-        let reading = activity.read();
+        let reading = activity.read().component;
         assert!(
-            reading.turn.is_multiple_of(2) || reading.incarnation != 3,
+            reading.turn.is_multiple_of(2) || reading.incarnation != Incarnation(3),
             "or it was claimed meanwhile"
         );
     }
@@ -263,7 +261,7 @@ mod tests {
             slot.activity.begin_incarnation(at as u64 + 1);
         }
         for (at, slot) in slots.iter().enumerate() {
-            assert_eq!(slot.activity.read().incarnation, at as u64 + 1);
+            assert_eq!(slot.activity.mark().incarnation, Incarnation(at as u64 + 1));
         }
     }
 }

@@ -1,7 +1,8 @@
 //! Names of contracts and hooks as numbers, so that an activity record can say in one store what is
 //! in service.
 
-use std::sync::{Mutex, OnceLock, PoisonError};
+use crate::platform::lock;
+use std::sync::{Mutex, OnceLock};
 
 /// While a condition of the component runs.
 pub(crate) static CONDITION: Label = Label::new("a condition of a subscription");
@@ -35,7 +36,7 @@ impl Label {
 
 /// The number of this name.
 pub(crate) fn number(name: &'static str) -> u32 {
-    let mut names = NAMES.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut names = lock(&NAMES);
     // A name mostly comes from the same place again, which is compared faster than its letters.
     let same = names.iter().position(|known| std::ptr::eq(*known, name));
     let equal = || names.iter().position(|known| *known == name);
@@ -48,7 +49,7 @@ pub(crate) fn number(name: &'static str) -> u32 {
 
 /// The name of this number.
 pub(crate) fn name(number: u32) -> &'static str {
-    let names = NAMES.lock().unwrap_or_else(PoisonError::into_inner);
+    let names = lock(&NAMES);
     names.get(number as usize).copied().unwrap_or("nothing")
 }
 

@@ -9,6 +9,7 @@ use super::label;
 use crate::arbiter::heartbeat::{self, ArbiterHeartbeat};
 use crate::arbiter::pool::ArbiterPool;
 use crate::platform;
+use crate::platform::lock;
 use crate::platform::processor_time::ThreadNumber;
 use actix::Recipient;
 use blastema_contract::reports::LivenessReported;
@@ -21,14 +22,14 @@ use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{FaultLocation, Incarnation, Instant, Machine, NodeName, ObjectName};
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::Relaxed;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, Weak};
 use std::thread::JoinHandle;
 use std::time::Duration;
 use std::{io, thread};
 
-/// How often heartbeats are looked at: as often as they beat.
+/// How often heartbeats are sampled: as often as they beat.
 const HEARTBEATS: Duration = crate::arbiter::heartbeat::HEARTBEAT_INTERVAL;
-/// Every so many looks activity records are looked at too. There are many of them: at every look it
+/// Activity records are sampled once in so many samples. There are many of them: in every sample it
 /// would cost six percent of a core for a hundred thousand.
 const STAMPS: u64 = 10;
 
@@ -52,18 +53,6 @@ pub(crate) trait AliveSource: Send + Sync {
     fn tell_exits(&self);
 }
 
-/// What a component is doing, also if it is stuck.
-struct ObjectSample {
-    incarnation: Incarnation,
-    queue: QueueReading,
-    missed_rounds: u64,
-    round_lateness: Option<RoundLateness>,
-    /// The contract or hook in service, and since when, at least.
-    current: Option<CurrentHandler>,
-    /// How long ago it gave a sign of life, if it did.
-    last_sign: Option<Duration>,
-}
-
 /// One component as the watch sees it.
 pub(crate) struct SampledComponent {
     pub(crate) object: ObjectName,
@@ -80,18 +69,7 @@ impl SampledComponent {
     }
 
     fn read(&self) -> ComponentSample {
-        let reading = self.activity.read();
-        ComponentSample {
-            turn: reading.turn,
-            alive: reading.alive.into(),
-            incarnation: Incarnation(reading.incarnation),
-            speaks: reading.speaks,
-            allowance: reading.allowance,
-            interval: reading.interval,
-            ticks: reading.ticks,
-            missed_ticks: reading.missed_ticks,
-            expired: reading.expired,
-        }
+        self.activity.read().component
     }
 }
 
@@ -106,13 +84,17 @@ struct Entries {
     declaring: Mutex<Option<ObjectName>>,
     /// The slots whose entries the watch has not learnt of yet.
     changed: Mutex<SortedSet<u32>>,
-    /// What was in service at the last look: slot, turn, and since when.
-    busy: Mutex<Vec<(u32, u64, Instant)>>,
-    /// When components that give signs of life by themselves were last seen to have given one, by
-    /// slot.
-    signs: Mutex<Vec<(u32, Option<Instant>)>>,
-    /// What the last look found of the arbiters.
-    arbiters: Mutex<SortedMap<u64, ArbiterStatus>>,
+    last: Mutex<LastLook>,
+}
+
+/// What the last sample found.
+#[derive(Clone, Default)]
+struct LastLook {
+    /// What was in service: slot, turn, and since when.
+    busy: Vec<(u32, u64, Instant)>,
+    /// When components that give signs of life by themselves were seen to have given one, by slot.
+    signs: Vec<(u32, Option<Instant>)>,
+    arbiters: SortedMap<u64, ArbiterStatus>,
 }
 
 /// Who lives on an arbiter.
@@ -131,32 +113,24 @@ impl ArbiterResidents {
 }
 
 impl SampledComponents {
-    fn lock(&self) -> MutexGuard<'_, SortedMap<u32, Arc<SampledComponent>>> {
-        self.0.by_slot.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     pub(crate) fn enter(&self, slot: u32, watched: SampledComponent) {
-        self.lock().insert(slot, Arc::new(watched));
+        lock(&self.0.by_slot).insert(slot, Arc::new(watched));
         self.note_change(slot);
     }
 
     /// After the entry was changed, so that who learns of it finds it so.
     fn note_change(&self, slot: u32) {
-        self.0.changed.lock().unwrap_or_else(PoisonError::into_inner).insert(slot);
+        lock(&self.0.changed).insert(slot);
     }
 
     /// This component declares its ports from now on, or none does.
     pub(crate) fn declare(&self, object: Option<ObjectName>) {
-        *self.declaring() = object;
-    }
-
-    fn declaring(&self) -> MutexGuard<'_, Option<ObjectName>> {
-        self.0.declaring.lock().unwrap_or_else(PoisonError::into_inner)
+        *lock(&self.0.declaring) = object;
     }
 
     /// The component that runs on this thread; empty if none of this node does.
     pub(crate) fn name_here(&self) -> String {
-        let entries = self.lock();
+        let entries = lock(&self.0.by_slot);
         let here = heartbeat::running_here().and_then(|slot| entries.get(&slot));
         here.map_or_else(String::new, |watched| watched.object.to_string())
     }
@@ -165,7 +139,7 @@ impl SampledComponents {
     /// way of others: all of them, each asking the next, and the incarnation of the first.
     pub(crate) fn circle(&self, asked: &ObjectName) -> Option<(Incarnation, Vec<ObjectName>)> {
         let own = heartbeat::running_here()?;
-        let entries = self.lock().clone();
+        let entries = lock(&self.0.by_slot).clone();
         let first = entries.get(&own)?;
         let incarnation = first.inside.upgrade()?.incarnation();
         let mut circle = vec![first.object.clone()];
@@ -191,43 +165,10 @@ impl SampledComponents {
         None
     }
 
-    /// What every component is doing now.
-    fn samples(&self) -> SortedMap<ObjectName, ObjectSample> {
-        let now = platform::now();
-        let busy = self.0.busy.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        let signs = self.0.signs.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        let sample = |(slot, watched): (&u32, &Arc<SampledComponent>)| {
-            let reading = watched.activity.read();
-            let since = busy.binary_search_by_key(slot, |entry| entry.0).ok().map(|at| busy[at]);
-            let since = since.filter(|(_, turn, _)| *turn == reading.turn);
-            let age = since.map_or(Duration::ZERO, |(_, _, since)| now - since);
-            let is_busy = reading.turn % 2 == 1;
-            let during = during(&reading);
-            let inside = watched.inside.upgrade()?;
-            let current = is_busy.then_some(CurrentHandler { during, age });
-            let sign = signs.binary_search_by_key(slot, |entry| entry.0).ok();
-            let last_sign = match (sign.map(|at| signs[at].1), is_busy) {
-                (Some(sign), _) => sign.map(|at| now - at),
-                (None, true) => Some(age),
-                (None, false) => watched.heartbeat.last_beat().map(|at| now - at),
-            };
-            let sample = ObjectSample {
-                incarnation: inside.incarnation(),
-                queue: inside.queue(),
-                missed_rounds: reading.missed_ticks,
-                round_lateness: inside.round_lateness(),
-                current,
-                last_sign,
-            };
-            Some((watched.object.clone(), sample))
-        };
-        self.lock().iter().filter_map(sample).collect()
-    }
-
     /// Who lives on which arbiter now.
     pub(crate) fn residents(&self) -> SortedMap<u64, ArbiterResidents> {
         let mut residents = SortedMap::new();
-        for (slot, watched) in self.lock().iter() {
+        for (slot, watched) in lock(&self.0.by_slot).iter() {
             let Some(inside) = watched.inside.upgrade() else { continue };
             let heartbeat = &watched.heartbeat;
             let on = residents
@@ -241,35 +182,52 @@ impl SampledComponents {
         residents
     }
 
-    /// What the last look found of the arbiters.
+    /// What the last sample found of the arbiters.
     pub(crate) fn seen(&self) -> SortedMap<u64, ArbiterStatus> {
-        self.0.arbiters.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        lock(&self.0.last).arbiters.clone()
     }
 
     /// Completes the rows of this node's components by what they are doing now, also if they are
     /// stuck.
     pub(crate) fn show_in(&self, node: &NodeName, rows: &mut [MonitorRow]) {
-        let samples = self.samples();
+        let now = platform::now();
+        let LastLook { busy, signs, .. } = lock(&self.0.last).clone();
+        let entries = lock(&self.0.by_slot).clone();
+        let by_name: SortedMap<&ObjectName, _> =
+            entries.iter().map(|(slot, watched)| (&watched.object, (slot, watched))).collect();
         for row in rows {
             let FaultLocation::Object(address) = &row.location else { continue };
-            let Some(sample) = samples.get(&address.object).filter(|_| address.node == *node)
+            let watched = by_name.get(&address.object).filter(|_| address.node == *node);
+            let Some((slot, watched)) = watched else { continue };
+            let reading = watched.activity.read();
+            let ComponentSample { turn, missed_ticks, .. } = reading.component;
+            let inside = watched.inside.upgrade();
+            let Some(inside) = inside.filter(|inside| inside.incarnation() == row.incarnation)
             else {
                 continue;
             };
-            let QueueReading { queued, oldest } = sample.queue;
-            if row.incarnation == sample.incarnation {
-                row.missed_rounds = sample.missed_rounds;
-                row.round_lateness = sample.round_lateness;
-                row.queue = Some(QueueSample { queued, oldest, age: Duration::ZERO });
-                row.current = sample.current;
-                // The monitor knows of reports, and the watch of everything else.
-                row.last_sign = row.last_sign.into_iter().chain(sample.last_sign).min();
-            }
+            let since = busy.binary_search_by_key(*slot, |entry| entry.0).ok().map(|at| busy[at]);
+            let since = since.filter(|(_, then, _)| *then == turn);
+            let age = since.map_or(Duration::ZERO, |(_, _, since)| now - since);
+            let is_busy = turn % 2 == 1;
+            let sign = signs.binary_search_by_key(*slot, |entry| entry.0).ok();
+            let last_sign = match (sign.map(|at| signs[at].1), is_busy) {
+                (Some(sign), _) => sign.map(|at| now - at),
+                (None, true) => Some(age),
+                (None, false) => watched.heartbeat.last_beat().map(|at| now - at),
+            };
+            row.missed_rounds = missed_ticks;
+            row.round_lateness = inside.round_lateness();
+            let QueueReading { queued, oldest } = inside.queue();
+            row.queue = Some(QueueSample { queued, oldest, age: Duration::ZERO });
+            row.current = is_busy.then(|| CurrentHandler { during: during(&reading), age });
+            // The monitor knows of reports, and the watch of everything else.
+            row.last_sign = row.last_sign.into_iter().chain(last_sign).min();
         }
     }
 
     pub(crate) fn leave(&self, slot: u32) {
-        if self.lock().remove(&slot).is_some() {
+        if lock(&self.0.by_slot).remove(&slot).is_some() {
             self.note_change(slot);
         }
     }
@@ -291,10 +249,10 @@ impl Running {
         let on_thread = |(slot, watched): (&u32, &Arc<SampledComponent>)| {
             let reading = watched.activity.read();
             let running = watched.heartbeat.running() == Some(*slot);
-            running.then(|| (watched.object.clone(), during(&reading), reading.turn))
+            running.then(|| (watched.object.clone(), during(&reading), reading.component.turn))
         };
-        let declaring = self.0.declaring().clone().map(|object| (object, "ports", 0));
-        self.0.lock().iter().filter_map(on_thread).chain(declaring).collect()
+        let declaring = lock(&self.0.0.declaring).clone().map(|object| (object, "ports", 0));
+        lock(&self.0.0.by_slot).iter().filter_map(on_thread).chain(declaring).collect()
     }
 }
 
@@ -308,59 +266,49 @@ impl Drop for SamplerGuard {
     fn drop(&mut self) {
         self.ended.store(true, Relaxed);
         if let Some(thread) = self.thread.take() {
-            // The thread never blocks, so that it ends after the present look.
+            // The thread never blocks, so that it ends after the present sample.
             let _ = thread.join();
         }
     }
 }
 
-/// Watches from a thread of its own.
+/// Watches from a thread of its own, or else as a task under the clock of this thread.
 ///
 /// # Errors
 /// The operating system has no thread left.
-pub(crate) fn start_thread(
+pub(crate) fn start(
     list: SampledComponents,
     arbiters: ArbiterPool,
     config: HangDetectorConfig,
     monitor: Recipient<LivenessReported>,
+    on_thread: bool,
 ) -> io::Result<SamplerGuard> {
     let ended = Arc::new(AtomicBool::new(false));
-    let mut sampler = Sampler::new(list, arbiters, config, monitor, true);
+    let mut sampler = Sampler::new(list, arbiters, config, monitor, on_thread);
     let stop = ended.clone();
-    let thread = platform::start_thread("watch", move || {
-        while !stop.load(Relaxed) {
-            thread::sleep(HEARTBEATS);
-            sampler.look(platform::now());
-        }
-    })?;
-    Ok(SamplerGuard { ended, thread: Some(thread) })
-}
-
-/// Watches from a task on this arbiter, under its clock: it sees who waits and who is silent, but
-/// not who hangs.
-pub(crate) fn start_task(
-    list: SampledComponents,
-    arbiters: ArbiterPool,
-    config: HangDetectorConfig,
-    monitor: Recipient<LivenessReported>,
-) -> SamplerGuard {
-    let ended = Arc::new(AtomicBool::new(false));
-    let mut sampler = Sampler::new(list, arbiters, config, monitor, false);
-    let stop = ended.clone();
+    if on_thread {
+        let thread = platform::start_thread("watch", move || {
+            while !stop.load(Relaxed) {
+                thread::sleep(HEARTBEATS);
+                sampler.sample(platform::now());
+            }
+        })?;
+        return Ok(SamplerGuard { ended, thread: Some(thread) });
+    }
     actix_rt::spawn(async move {
         while !stop.load(Relaxed) {
             tokio::time::sleep(HEARTBEATS).await;
-            sampler.look(platform::now());
+            sampler.sample(platform::now());
         }
     });
-    SamplerGuard { ended, thread: None }
+    Ok(SamplerGuard { ended, thread: None })
 }
 
-/// What the watch knows between two looks.
+/// What the watch knows between two samples.
 struct Sampler {
     list: SampledComponents,
     scanner: HangDetector,
-    looks: u64,
+    samples: u64,
     activities: SampledActivities,
     /// Each with how many components live on it.
     heartbeats: SortedMap<u64, (Arc<ArbiterHeartbeat>, usize)>,
@@ -374,7 +322,7 @@ struct Sampler {
 #[derive(Default)]
 struct SampledActivities(SlotTable<Known>);
 
-/// A component, and its record beside it: most looks are at records alone.
+/// A component, and its record beside it: most samples read records alone.
 struct Known {
     activity: &'static ActivityRecord,
     component: Arc<SampledComponent>,
@@ -425,7 +373,7 @@ impl Sampler {
         Sampler {
             list,
             scanner: HangDetector::new(config),
-            looks: 0,
+            samples: 0,
             activities: SampledActivities::default(),
             heartbeats: SortedMap::new(),
             arbiters,
@@ -434,7 +382,7 @@ impl Sampler {
         }
     }
 
-    fn look(&mut self, now: Instant) {
+    fn sample(&mut self, now: Instant) {
         self.learn();
         self.scanner.handle_look(now);
         for (id, (heartbeat, _)) in &self.heartbeats {
@@ -461,7 +409,7 @@ impl Sampler {
             };
             self.scanner.handle_heartbeat(*id, reading);
         }
-        if self.looks.is_multiple_of(STAMPS) {
+        if self.samples.is_multiple_of(STAMPS) {
             let times = self.heartbeats.iter().filter_map(|(id, (heartbeat, _))| {
                 let time = heartbeat.thread().filter(|_| self.is_real)?.processor_time()?;
                 Some((*id, time))
@@ -469,13 +417,11 @@ impl Sampler {
             times.for_each(|(id, time)| self.scanner.handle_processor_time(id, time));
             self.scanner.handle_activities(&self.activities);
             let busy = self.scanner.busy().collect();
-            *self.list.0.busy.lock().unwrap_or_else(PoisonError::into_inner) = busy;
             let signs = self.scanner.last_signs().collect();
-            *self.list.0.signs.lock().unwrap_or_else(PoisonError::into_inner) = signs;
-            let seen = self.scanner.arbiters().collect();
-            *self.list.0.arbiters.lock().unwrap_or_else(PoisonError::into_inner) = seen;
+            let arbiters = self.scanner.arbiters().collect();
+            *lock(&self.list.0.last) = LastLook { busy, signs, arbiters };
         }
-        self.looks += 1;
+        self.samples += 1;
         self.arbiters.move_pending(now);
         while let Some(event) = self.scanner.poll_output() {
             // It may have come back just now; then its components stay.
@@ -495,12 +441,12 @@ impl Sampler {
     /// Brings what is known up to date with the list.
     fn learn(&mut self) {
         let changed = &self.list.0.changed;
-        let changed = std::mem::take(&mut *changed.lock().unwrap_or_else(PoisonError::into_inner));
+        let changed = std::mem::take(&mut *lock(changed));
         if changed.is_empty() {
             return;
         }
         for slot in changed {
-            let entry = self.list.lock().get(&slot).cloned();
+            let entry = lock(&self.list.0.by_slot).get(&slot).cloned();
             let known = self.activities.get(slot);
             if let (Some(entry), Some(known)) = (&entry, known)
                 && entry.object == known.object

@@ -38,7 +38,7 @@ pub enum ThreadState {
     Alive,
     /// A handler has kept it for longer than it may.
     Blocked {
-        /// The culprit.
+        /// The component whose handler blocks the thread.
         by: ObjectName,
         /// For how long it has, at least.
         age: Duration,
@@ -46,7 +46,7 @@ pub enum ThreadState {
     /// A handler kept the thread past its grace: its components run elsewhere. The thread ends if
     /// the handler returns.
     Abandoned {
-        /// The culprit.
+        /// The component whose handler keeps the thread.
         by: ObjectName,
     },
 }

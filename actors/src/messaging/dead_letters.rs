@@ -2,13 +2,14 @@
 
 use crate::messaging::message_log;
 use crate::platform;
+use crate::platform::lock;
 use blastema_core::delivery::dead_letters::{
     DeadLetter, DeadLetterCount, DeadLetterLimits, DeadLetters, DeadReason,
 };
 use blastema_core::{DeliveryError, NodeName, ObjectName};
 use std::borrow::Cow;
 use std::fmt;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// All that a node did not deliver, at one moment, as part of its
 /// [`NodeSnapshot`](crate::NodeSnapshot).
@@ -35,10 +36,6 @@ impl DeadLetterLog {
     /// An empty log with these limits.
     pub fn new(limits: DeadLetterLimits) -> Self {
         DeadLetterLog(Arc::new(Mutex::new(DeadLetters::new(limits))))
-    }
-
-    fn lock(&self) -> MutexGuard<'_, DeadLetters> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Takes note of one message to an object of this node that was not delivered.
@@ -72,33 +69,33 @@ impl DeadLetterLog {
     ) {
         let (object, contract, at) = (object.clone(), contract.into(), platform::now());
         message_log::lost(&contract, &object, reason, many);
-        self.lock().handle_many(DeadLetter { node, object, contract, reason, at }, many);
+        lock(&self.0).handle_many(DeadLetter { node, object, contract, reason, at }, many);
     }
 
     /// How many messages were not delivered.
     pub fn total(&self) -> u64 {
-        self.lock().total()
+        lock(&self.0).total()
     }
 
     /// How many messages to objects of this name, on whichever node, were not delivered for this
     /// reason.
     pub fn count(&self, object: &ObjectName, reason: DeadReason) -> u64 {
-        self.lock().count(object, reason)
+        lock(&self.0).count(object, reason)
     }
 
     /// The counts, by node, object, contract and reason.
     pub fn counts(&self) -> Vec<DeadLetterCount> {
-        self.lock().counts().collect()
+        lock(&self.0).counts().collect()
     }
 
     /// The counts, and what is beyond them.
     pub(crate) fn snapshot(&self) -> DeadLetterSnapshot {
-        let letters = self.lock();
+        let letters = lock(&self.0);
         DeadLetterSnapshot { counts: letters.counts().collect(), beyond: letters.beyond() }
     }
 
     /// The latest letters, the oldest of them first.
     pub fn latest(&self) -> Vec<DeadLetter> {
-        self.lock().latest().cloned().collect()
+        lock(&self.0).latest().cloned().collect()
     }
 }

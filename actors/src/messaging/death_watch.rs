@@ -3,6 +3,7 @@
 use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::injection::Injection;
 use crate::platform;
+use crate::platform::lock;
 use blastema_contract::reports::ExitReason;
 use blastema_core::sorted::SortedMap;
 use blastema_core::{DeliveryError, Incarnation, Lifecycle, NodeName, ObjectName};
@@ -10,7 +11,7 @@ use blastema_macros::{Event, Structure};
 use std::any::Any;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::SeqCst;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// Between two looks at the state of a component that is steered.
@@ -138,13 +139,9 @@ impl Watched {
 }
 
 impl Deaths {
-    fn lock(&self) -> MutexGuard<'_, SortedMap<ObjectName, Watched>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// An incarnation of an object that is no component begins.
     pub(crate) fn begin(&self, object: &ObjectName, incarnation: Incarnation) {
-        self.lock().entry(object.clone()).or_default().actor = Some((incarnation, true));
+        lock(&self.0).entry(object.clone()).or_default().actor = Some((incarnation, true));
     }
 
     /// An incarnation of such an object is in this state.
@@ -158,7 +155,7 @@ impl Deaths {
 
     /// The present incarnation of such an object has ended; without effect where none is.
     pub(crate) fn end(&self, object: &ObjectName, ending: DownReason) {
-        let mut objects = self.lock();
+        let mut objects = lock(&self.0);
         let actor = objects.get_mut(object).and_then(|watched| watched.actor.as_mut());
         let Some((incarnation, is_alive)) = actor.filter(|(_, is_alive)| *is_alive) else { return };
         *is_alive = false;
@@ -170,7 +167,7 @@ impl Deaths {
     /// Keeps this end of an object, and sends it to all that watch its name.
     pub(crate) fn tell(&self, down: &Down) {
         let watchers = {
-            let mut objects = self.lock();
+            let mut objects = lock(&self.0);
             let watched = objects.entry(down.object.clone()).or_default();
             let number = ENDS.fetch_add(1, SeqCst) + 1;
             watched.last = Some(NumberedEnd { number, down: down.clone() });
@@ -184,7 +181,7 @@ impl Deaths {
     /// The object is no more: its name is free.
     pub(crate) fn forget(&self, object: &ObjectName) {
         self.end(object, DownReason::Stopped);
-        let mut objects = self.lock();
+        let mut objects = lock(&self.0);
         let Some(watched) = objects.get_mut(object) else { return };
         (watched.actor, watched.last) = (None, None);
         watched.watchers.retain(|watcher| watcher.outlasts_object);
@@ -195,7 +192,7 @@ impl Deaths {
 
     /// Adds a watcher. Returns the last end of the object, which the watcher is not told.
     pub(crate) fn join(&self, object: &ObjectName, watcher: Arc<Watcher>) -> Option<NumberedEnd> {
-        let mut objects = self.lock();
+        let mut objects = lock(&self.0);
         if !objects.contains_key(object) {
             objects.retain(|_, watched| watched.is_needed());
         }
@@ -208,13 +205,13 @@ impl Deaths {
 
     /// The present incarnation of an object that is no component, and whether it lives.
     pub(crate) fn actor(&self, object: &ObjectName) -> Option<(Incarnation, bool)> {
-        self.lock().get(object)?.actor
+        lock(&self.0).get(object)?.actor
     }
 
     /// How many watch this name.
     #[cfg(test)]
     pub(crate) fn watchers(&self, object: &ObjectName) -> usize {
-        self.lock().get(object).map_or(0, |watched| watched.watchers.len())
+        lock(&self.0).get(object).map_or(0, |watched| watched.watchers.len())
     }
 }
 

@@ -71,7 +71,7 @@ pub(crate) fn decode_kind(bytes: &[u8]) -> DeliveryError {
 /// A message that was not handed over.
 #[derive(PartialEq, Eq)]
 pub struct SendError<M> {
-    /// Why.
+    /// Why the message was not handed over.
     pub kind: DeliveryError,
     /// The message as it was.
     pub message: M,
@@ -110,7 +110,7 @@ name_receiver_in!(RequestError);
 /// A request without a reply.
 #[derive(PartialEq, Eq)]
 pub struct RequestError<M> {
-    /// Why.
+    /// Why there is no reply.
     pub kind: DeliveryError,
     /// The message as it was, where the receiver did not take it up.
     pub message: Option<M>,

@@ -68,7 +68,8 @@ pub(crate) struct BoundedQueue<T> {
 struct Inner<T> {
     /// Each with its port.
     queue: VecDeque<(usize, T)>,
-    /// How many wait at each port.
+    /// How many wait at each port but the first one, which has the others: most queues have one
+    /// port, and no memory for this.
     waiting: Box<[usize]>,
     /// Boxed, since few components watch others.
     notices: Option<Box<Notices<T>>>,
@@ -111,7 +112,7 @@ impl<T> BoundedQueue<T> {
     pub(crate) fn with_ports(bounds: Box<[(usize, WhenFull)]>) -> Self {
         let inner = Inner {
             queue: VecDeque::new(),
-            waiting: vec![0; bounds.len()].into(),
+            waiting: vec![0; bounds.len().saturating_sub(1)].into(),
             notices: None,
             owner: None,
             newest: Incarnation::default(),
@@ -167,7 +168,7 @@ impl<T> BoundedQueue<T> {
         }
         let mut displaced = None;
         let (capacity, policy) = self.bounds[port];
-        if queue.waiting[port] >= capacity {
+        if queue.waiting_at(port) >= capacity {
             match policy {
                 WhenFull::DropOldest => {
                     let oldest = queue.queue.iter().position(|(of, _)| *of == port);
@@ -179,7 +180,9 @@ impl<T> BoundedQueue<T> {
             }
         }
         queue.queue.push_back((port, pack(message)));
-        queue.waiting[port] += 1;
+        if let Some(own) = queue.waiting_mut(port) {
+            *own += 1;
+        }
         self.length.store(queue.depth(), Relaxed);
         Ok(Pushed { displaced, parked: queue.parked.take() })
     }
@@ -263,7 +266,7 @@ impl<T> BoundedQueue<T> {
             queue.parked = Some(waker.clone());
             return Popped::Empty;
         };
-        queue.waiting[port] -= 1;
+        queue.taken(port);
         self.length.store(queue.depth(), Relaxed);
         let next = queue.space.as_mut().and_then(|space| space.next(port));
         drop(queue);
@@ -428,8 +431,31 @@ impl<T> BoundedQueue<T> {
 impl<T> Inner<T> {
     fn remove(&mut self, at: usize) -> Option<T> {
         let (port, item) = self.queue.remove(at)?;
-        self.waiting[port] -= 1;
+        self.taken(port);
         Some(item)
+    }
+
+    /// The count of a port that has one of its own.
+    #[inline]
+    fn waiting_mut(&mut self, port: usize) -> Option<&mut usize> {
+        self.waiting.get_mut(port.checked_sub(1)?)
+    }
+
+    /// One that waited at this port was taken.
+    #[inline]
+    fn taken(&mut self, port: usize) {
+        if let Some(own) = self.waiting_mut(port) {
+            *own -= 1;
+        }
+    }
+
+    /// How many wait at a port.
+    #[inline]
+    fn waiting_at(&self, port: usize) -> usize {
+        match port.checked_sub(1) {
+            Some(own) => self.waiting[own],
+            None => self.queue.len() - self.waiting.iter().sum::<usize>(),
+        }
     }
 
     /// How many wait to be taken.
@@ -458,7 +484,7 @@ impl<T> SpaceWaiter<'_, T> {
             kept.clone_from(waker);
             return Poll::Pending;
         }
-        if queue.stopped || queue.waiting[self.port] < self.queue.bounds[self.port].0 {
+        if queue.stopped || queue.waiting_at(self.port) < self.queue.bounds[self.port].0 {
             return Poll::Ready(());
         }
         let space = queue.space.get_or_insert_default();
@@ -659,6 +685,11 @@ mod tests {
         assert_eq!(sender.0.load(Relaxed), 0);
         assert_eq!(take(&queue), Some(2));
         assert_eq!(sender.0.load(Relaxed), 1);
+    }
+
+    #[test]
+    fn a_queue_with_one_port_takes_no_memory_to_count_by_port() {
+        assert!(queue(1, WhenFull::Refuse).lock().waiting.is_empty());
     }
 
     #[test]

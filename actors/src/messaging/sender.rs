@@ -3,14 +3,11 @@
 use crate::messaging::error::{Receiver, RequestError, SendError};
 use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::message_id::next_id;
-use crate::messaging::reply::ReplyFuture;
 use crate::messaging::retry;
-use crate::messaging::sink::MessageSink;
+use crate::messaging::sink::{MessageSink, Redirect};
 use crate::settings::DEFAULT_DEADLINE;
 use blastema_core::{Contract, DeliveryError, MessageId, RetryPolicy};
 use std::fmt;
-use std::future::Future;
-use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -78,13 +75,7 @@ impl<M: Contract> Sender<M> {
         message: M,
         deadline: Duration,
     ) -> Result<M::Reply, RequestError<M>> {
-        let asked = async {
-            if M::IDEMPOTENT {
-                return retry::ask_idempotent(&*self.0, message, deadline).await;
-            }
-            self.0.ask(message, None, Some(deadline))?.within(deadline).await
-        };
-        asked.await.map_err(|error| not_answered(&*self.0, error, deadline))
+        ask_within(&*self.0, message, deadline).await
     }
 
     /// Asks, and asks again by this rule where the request was not taken up, or, if its contract is
@@ -151,15 +142,31 @@ impl<M: Contract + Clone> Repeatable<M> {
         asked.await.map_err(|error| not_answered(&**inlet, error, deadline))
     }
 
-    /// Its identity.
+    /// The identity of the message, the same each time that it is sent.
     pub fn id(&self) -> MessageId {
         self.id
     }
 }
 
+/// Asks, and again where an idempotent request may have met the end of an incarnation.
+#[inline]
+pub(crate) async fn ask_within<M: Contract>(
+    inlet: &(impl MessageSink<M> + ?Sized),
+    message: M,
+    deadline: Duration,
+) -> Result<M::Reply, RequestError<M>> {
+    let asked = async {
+        if M::IDEMPOTENT {
+            return retry::ask_idempotent(inlet, message, deadline).await;
+        }
+        inlet.ask(message, None, Some(deadline))?.within(deadline).await
+    };
+    asked.await.map_err(|error| not_answered(inlet, error, deadline))
+}
+
 /// Names the receiver and the deadline of a request.
 #[cold]
-pub(crate) fn not_answered<M: Contract>(
+fn not_answered<M: Contract>(
     inlet: &(impl MessageSink<M> + ?Sized),
     error: RequestError<M>,
     deadline: Duration,
@@ -196,40 +203,12 @@ pub(crate) struct DetachedSender<M: Contract> {
     pub(crate) incarnation: Arc<IncarnationToken>,
 }
 
-impl<M: Contract> MessageSink<M> for DetachedSender<M> {
-    fn tell(&self, message: M) -> Result<(), SendError<M>> {
-        match self.incarnation.forbidden() {
-            Some(why) => Err(SendError::new(why, message)),
-            None => self.inner.0.tell(message),
-        }
-    }
-
-    fn offer(&self, message: M) -> Result<(), SendError<M>> {
-        match self.incarnation.forbidden() {
-            Some(why) => Err(SendError::new(why, message)),
-            None => self.inner.0.offer(message),
-        }
-    }
-
-    fn space(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
-        self.inner.0.space()
-    }
-
-    fn ask(
-        &self,
-        message: M,
-        id: Option<MessageId>,
-        within: Option<Duration>,
-    ) -> Result<ReplyFuture<M>, RequestError<M>> {
-        match self.incarnation.forbidden() {
-            Some(why) => Err(RequestError::new(why, Some(message))),
-            None => self.inner.0.ask(message, id, within),
-        }
+impl<M: Contract> Redirect<M> for DetachedSender<M> {
+    fn present(&self) -> Result<Arc<dyn MessageSink<M>>, DeliveryError> {
+        self.incarnation.forbidden().map_or_else(|| Ok(self.inner.0.clone()), Err)
     }
 
     fn receiver(&self) -> Option<Receiver> {
         self.inner.0.receiver()
     }
 }
-
-// By hand: a derive would require `Debug` of the user's message.

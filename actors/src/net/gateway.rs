@@ -7,73 +7,66 @@ mod peer;
 mod subscriptions;
 mod undelivered;
 
-pub(super) use super::gateway_messages::{SendToPeer, StartCompleted};
+pub(super) use inbound::CapacityAvailable;
+pub(super) use subscriptions::LocalEvent;
 
 use super::NetEnvironment;
 use super::fault_reporter::FaultReporter;
 use super::gateway_messages::{LocalReply, TopicInterestChanged};
-use super::isolation::IsolationControl;
+use super::sessions::{DiscardedSession, PeerSessions};
 use super::stub::{PeerCondition, PeerSendState, PeerStubs};
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::platform;
 use crate::registry::remote_watch::DeathWatchService;
 use crate::registry::{MessageMetadata, Registry, ReplyTo};
-use crate::runtime::guardian::answers_the_monitor;
 use crate::topic::{TopicKey, Topics};
 use actix::prelude::*;
 use blastema_contract::monitor::NodeReported;
-use blastema_contract::router::SetIsolation;
-use blastema_contract::session::{
-    CloseSessions, PeerStatusChanged, ResetSession, SendLatest, SendReliable,
-};
+use blastema_contract::session::PeerStatusChanged;
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::{
     PeerProtocol, PeerProtocolOutput, SessionEpoch, TopicContract,
 };
 use blastema_core::sorted::{SortedMap, SortedSet};
-use blastema_core::{DeliveryError, FaultKind, GatherBuffer, Incarnation, NodeName, ObjectName};
+use blastema_core::{
+    DeliveryError, FaultKind, GatherBuffer, Incarnation, Instant, NodeName, ObjectName,
+};
+use bytes::Bytes;
 use forbidden::ForbiddenAlarm;
-use inbound::{InboundBacklog, PeerBinding, REFUSAL_CHECK_INTERVAL};
+use inbound::{InboundBacklog, PeerBinding};
 use peer::GatewayPeer;
-use std::sync::{Arc, OnceLock};
-use std::time::Duration;
+use std::sync::Arc;
 use subscriptions::Forwarded;
 use tracing::{debug, error, info};
 
-/// How often what was lost is brought together, and what has waited too long given up.
-const TIME_INTERVAL: Duration = Duration::from_millis(200);
-/// How long a node that ends waits for peers to agree to contracts of messages it has accepted.
-const LEAVE_TIMEOUT: Duration = Duration::from_millis(500);
+/// Where messages to the stack go, from whichever thread.
+pub(super) struct StackRecipients {
+    pub(super) replies: Recipient<LocalReply>,
+    pub(super) interests: Recipient<TopicInterestChanged>,
+    pub(super) capacity: Recipient<CapacityAvailable>,
+    pub(super) events: Recipient<LocalEvent>,
+}
 
-/// What the gateway must know after a panic.
+/// What the gateway uses of its node.
 struct GatewaySetup {
     registry: Registry,
     topics: Topics,
     nodes: Option<Recipient<NodeReported>>,
     faults: FaultReporter,
-    sessions: SessionRecipients,
+    stack: StackRecipients,
     stubs: Arc<PeerStubs>,
     deaths: DeathWatchService,
-    isolation: IsolationControl,
     dead_letters: DeadLetterLog,
     may_be_away: SortedSet<NodeName>,
     /// Who of this node talks to others like itself.
     observers: Vec<Recipient<PeerStatusChanged>>,
 }
 
-/// What the gateway asks of the sessions.
-pub(super) struct SessionRecipients {
-    pub(super) send_reliable: Recipient<SendReliable>,
-    pub(super) send_latest: Recipient<SendLatest>,
-    pub(super) leave: Recipient<CloseSessions>,
-    pub(super) begin_anew: Recipient<ResetSession>,
-}
-
 /// Speaks for the objects of this node.
-pub(super) struct GatewayActor {
+pub(super) struct ObjectGateway {
     wiring: GatewaySetup,
-    exchange: PeerProtocol,
+    pub(super) exchange: PeerProtocol,
     peers: SortedMap<NodeId, GatewayPeer>,
     /// Where replies go, by our number of the request.
     replies: SortedMap<u64, (NodeName, ReplyTo)>,
@@ -89,53 +82,37 @@ pub(super) struct GatewayActor {
     /// Messages of isolated nodes.
     of_isolated: u64,
     forbidden: ForbiddenAlarm,
-    /// The node ends; the sessions follow once nothing waits here.
-    leaving: bool,
+    /// The node ends; the sessions follow once nothing waits here, and then at the latest.
+    leaving: Option<Instant>,
 }
 
-impl GatewayActor {
-    pub(super) fn maker(
+impl ObjectGateway {
+    pub(super) fn new(
         environment: &NetEnvironment,
-        sessions: SessionRecipients,
-        (stubs, deaths): (Arc<PeerStubs>, DeathWatchService),
-        router: Recipient<SetIsolation>,
-        control: Arc<OnceLock<IsolationControl>>,
-    ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
+        stubs: Arc<PeerStubs>,
+        deaths: DeathWatchService,
+        (faults, stack): (FaultReporter, StackRecipients),
+    ) -> Self {
         let NetEnvironment { registry, topics, nodes, dead_letters, observers, .. } =
             environment.clone();
         let may_be_away = environment.may_be_away.clone();
-        let faults = environment.own_faults("gateway");
-        move |context| {
-            let isolation = IsolationControl {
-                stubs: stubs.clone(),
-                gateway: context.address().recipient(),
-                router,
-                monitor: nodes.clone(),
-            };
-            // A gateway is made once.
-            let _ = control.set(isolation.clone());
-            GatewayActor::wired(GatewaySetup {
-                registry,
-                topics,
-                nodes,
-                faults,
-                sessions,
-                stubs,
-                deaths,
-                isolation,
-                dead_letters,
-                may_be_away,
-                observers,
-            })
-        }
-    }
-
-    fn wired(wiring: GatewaySetup) -> Self {
         let mut exchange = PeerProtocol::default();
-        if let Some(policy) = wiring.registry.access().policy() {
+        if let Some(policy) = registry.access().policy() {
             exchange.handle_access((*policy).clone());
         }
-        GatewayActor {
+        let wiring = GatewaySetup {
+            registry,
+            topics,
+            nodes,
+            faults,
+            stack,
+            stubs,
+            deaths,
+            dead_letters,
+            may_be_away,
+            observers,
+        };
+        ObjectGateway {
             wiring,
             exchange,
             peers: SortedMap::new(),
@@ -147,15 +124,15 @@ impl GatewayActor {
             next: 0,
             of_isolated: 0,
             forbidden: ForbiddenAlarm::default(),
-            leaving: false,
+            leaving: None,
         }
     }
 
     /// Listens to the topics that this node's objects listen to.
-    fn take_interest(&mut self, context: &mut Context<Self>) {
-        let gateway = context.address();
+    pub(super) fn take_interest(&mut self) {
+        let stack = self.wiring.stack.interests.clone();
         let interest = move |key: &TopicKey| {
-            gateway.do_send(TopicInterestChanged { key: key.clone() });
+            stack.do_send(TopicInterestChanged { key: key.clone() });
         };
         self.wiring.topics.on_interest(Arc::new(interest));
         for (key, identities) in self.wiring.topics.listened() {
@@ -168,46 +145,49 @@ impl GatewayActor {
         self.next
     }
 
-    fn drive(&mut self, context: &mut Context<Self>) {
-        while let Some(output) = self.exchange.poll_output() {
-            self.carry_out(output, context);
-        }
-        if self.leaving && !self.exchange.is_waiting() {
-            self.leave(context);
-        }
-    }
-
-    fn leave(&mut self, context: &mut Context<Self>) {
-        if std::mem::take(&mut self.leaving) {
+    /// Carries out all that waits. A node that ends tells its peers, and ends its sessions.
+    pub(super) fn drive(&mut self, sessions: &mut PeerSessions) {
+        self.carry_out_all(sessions);
+        let is_over = |until| until <= platform::now() || !self.exchange.is_waiting();
+        if self.leaving.is_some_and(is_over) {
             self.exchange.handle_leave();
-            while let Some(output @ PeerProtocolOutput::Send { .. }) = self.exchange.poll_output() {
-                self.carry_out(output, context);
-            }
-            self.wiring.sessions.leave.do_send(CloseSessions);
+            self.carry_out_all(sessions);
+            sessions.close();
+            self.leaving = None;
         }
     }
 
-    fn carry_out(&mut self, output: PeerProtocolOutput, context: &mut Context<Self>) {
+    /// A panic in here has consumed an output.
+    pub(super) fn carry_out_all(&mut self, sessions: &mut PeerSessions) {
+        while let Some(output) = self.exchange.poll_output() {
+            self.carry_out(output, sessions);
+        }
+    }
+
+    fn carry_out(&mut self, output: PeerProtocolOutput, sessions: &mut PeerSessions) {
         match output {
             PeerProtocolOutput::Send { peer, stream, strand, message, credit } => {
-                let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
-                let send = SendReliable { peer, session, stream, strand, message, credit };
-                self.wiring.sessions.send_reliable.do_send(send);
+                let session = (peer, self.peers.get(&peer).map_or(0, |peer| peer.session));
+                let sent = sessions.send_reliable(session, (stream, strand), message, credit);
+                self.give_back(peer, sent);
             }
             PeerProtocolOutput::SendNewest { peer, channel, message, credit } => {
-                let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
-                let send = SendLatest { peer, session, channel, message, credit };
-                self.wiring.sessions.send_latest.do_send(send);
+                // Given back when the stack has yielded: senders on other threads would keep its
+                // mailbox filled, and actix serves that before any timer.
+                actix_rt::spawn(async move { drop(credit) });
+                let session = (peer, self.peers.get(&peer).map_or(0, |peer| peer.session));
+                let sent = sessions.send_latest(session, channel, message);
+                self.give_back(peer, sent);
             }
             PeerProtocolOutput::Bind { peer, epoch, binding, object, identity } => {
                 self.bind(peer, epoch, binding, &object, &identity);
             }
             PeerProtocolOutput::Serve { peer, epoch, binding, call, id, age, until, payload } => {
                 let reply_to =
-                    call.map(|call| reply_to(peer, epoch, call, context.address().recipient()));
+                    call.map(|call| reply_to(peer, epoch, call, self.wiring.stack.replies.clone()));
                 let metadata =
                     MessageMetadata { id, age, is_first: false, until, from: Some(peer) };
-                self.serve((peer, binding), &payload, metadata, reply_to, context);
+                self.serve((peer, binding), &payload, metadata, reply_to);
             }
             PeerProtocolOutput::Resolve { reply_as, result } => {
                 if let Some((_, reply_to)) = self.replies.remove(&reply_as) {
@@ -225,7 +205,7 @@ impl GatewayActor {
                 self.differs(peer, &difference);
             }
             PeerProtocolOutput::Subscribe { peer, subscription, topic, identities } => {
-                self.subscribe(peer, subscription, &topic, identities, context);
+                self.subscribe(peer, subscription, &topic, identities);
             }
             PeerProtocolOutput::AccessDenied { denied } => {
                 self.wiring.registry.access().record(*denied);
@@ -256,6 +236,13 @@ impl GatewayActor {
             }
             PeerProtocolOutput::Bye { peer } => self.handle_bye(peer),
             PeerProtocolOutput::Forget { peer, why } => self.forget(peer, &why),
+        }
+    }
+
+    /// The session does not take a message.
+    fn give_back(&mut self, peer: NodeId, refused: Result<(), (DeliveryError, Bytes)>) {
+        if let Err((why, message)) = refused {
+            self.handle_returned(peer, message, why, false);
         }
     }
 
@@ -367,48 +354,4 @@ fn reply_to(
     gateway: Recipient<LocalReply>,
 ) -> ReplyTo {
     Box::new(move |result| gateway.do_send(LocalReply { peer, epoch, call, result }))
-}
-
-answers_the_monitor!(GatewayActor);
-
-impl Actor for GatewayActor {
-    type Context = Context<Self>;
-
-    fn started(&mut self, context: &mut Context<Self>) {
-        self.take_interest(context);
-        context.run_interval(TIME_INTERVAL, |gateway, context| {
-            gateway.exchange.handle_time(platform::now());
-            gateway.collect_losses();
-            gateway.drive(context);
-        });
-        context.run_interval(REFUSAL_CHECK_INTERVAL, |gateway, _| {
-            gateway.look_at_refusals();
-            gateway.look_at_access();
-            gateway.look_at_losses();
-            gateway.look_at_topics();
-        });
-    }
-}
-
-impl Supervised for GatewayActor {
-    /// Resolves every pending request and reopens every session, so that both ends agree again.
-    fn restarting(&mut self, context: &mut Context<Self>) {
-        for (node, reply_to) in std::mem::take(&mut self.replies).into_values() {
-            let reason = format!("the session with {node} was reopened");
-            reply_to(Err(DeliveryError::OutcomeUnknown { reason }));
-        }
-        let peers: Vec<_> = self.peers.keys().copied().collect();
-        let why = DeliveryError::OutcomeUnknown { reason: "the gateway was restarted".to_owned() };
-        let forwards: Vec<_> = self.forwards.keys().copied().collect();
-        forwards.into_iter().for_each(|key| self.retire(key, &why));
-        peers.into_iter().for_each(|peer| self.end_lines(peer, &why));
-        self.peers.values().for_each(|peer| peer.send_state.forget_backlog());
-        self.skeletons.clear();
-        self.exchange = self.exchange.restarted(&why);
-        self.peers.keys().for_each(|peer| self.set(*peer, PeerCondition::Opening));
-        let peers: Vec<_> = self.peers.keys().copied().collect();
-        peers.into_iter().for_each(|peer| self.exchange.handle_reachable(peer));
-        self.wiring.sessions.begin_anew.do_send(ResetSession { peer: None });
-        self.started(context);
-    }
 }

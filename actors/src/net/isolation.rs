@@ -6,7 +6,6 @@
 use super::stub::PeerStubs;
 use actix::prelude::*;
 use blastema_contract::monitor::NodeReported;
-use blastema_contract::router::SetIsolation;
 use blastema_contract::strategy::IsolateNode;
 use blastema_core::detection::NodeCondition;
 use blastema_core::{Incarnation, NodeName};
@@ -25,8 +24,7 @@ pub(super) struct IsolationChanged {
 #[derive(Clone)]
 pub(crate) struct IsolationControl {
     pub(super) stubs: Arc<PeerStubs>,
-    pub(super) gateway: Recipient<IsolationChanged>,
-    pub(super) router: Recipient<SetIsolation>,
+    pub(super) stack: Recipient<IsolationChanged>,
     pub(super) monitor: Option<Recipient<NodeReported>>,
 }
 
@@ -38,8 +36,7 @@ impl IsolationControl {
             return;
         }
         warn!(%node, isolated, "isolated, or admitted again: {cause}");
-        self.router.do_send(SetIsolation { node: node.clone(), isolated });
-        self.gateway.do_send(IsolationChanged { node: node.clone(), isolated });
+        self.stack.do_send(IsolationChanged { node: node.clone(), isolated });
         if let Some(monitor) = &self.monitor {
             let condition = match isolated {
                 true => NodeCondition::Isolated { reason: cause },

@@ -20,7 +20,7 @@ use crate::runtime::guardian::answers_the_monitor;
 use actix::prelude::*;
 use blastema_contract::link::{
     CarrierChanged, LinkChanged, LinkPayload, LinkRow, LinkSeal, ReadLinks, ReceivedOnLink,
-    ReportLinks, TransmitOnLink,
+    TransmitOnLink,
 };
 use blastema_contract::monitor::LinkReported;
 use blastema_contract::reports::LivenessReported;
@@ -523,14 +523,6 @@ impl Handler<TransmitOnLink> for LinksActor {
     }
 }
 
-impl Handler<ReportLinks> for LinksActor {
-    type Result = ();
-
-    fn handle(&mut self, _: ReportLinks, _: &mut Context<Self>) {
-        self.tell_router_all();
-    }
-}
-
 impl Handler<ReadLinks> for LinksActor {
     type Result = MessageResult<ReadLinks>;
 
@@ -547,7 +539,6 @@ impl Handler<ReadLinks> for LinksActor {
                 last_sign: link.last_hello().map(|at| now - at),
                 quality: link.quality(),
                 hello_interval: link.hello_interval(),
-                phi: link.phi(now),
                 cost: self.cost(number, link),
                 traffic: self.bundle.traffic(number),
                 rate: self.rates.rate(number),

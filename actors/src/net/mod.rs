@@ -1,21 +1,20 @@
 //! The network of a node: thin actors over the machines of `blastema_core::net`.
 //!
 //! ```text
-//!  objects ─ stubs ─► Gateway ─► Sessions ─► Router ─► Links ─► transport ══ medium
-//!                       │ bindings  │ exactly   │ which   │ is it alive
-//!                       │ naming    │ once      │ hop     │
-//!  local skeletons ◄─────┘
+//!  objects ─ stubs ─► Stack: gateway ─► sessions ─► router ─► Links ─► transport ══ medium
+//!                            │ bindings  │ exactly   │ which   │ is it alive
+//!                            │ naming    │ once      │ hop     │
+//!  local skeletons ◄─────────┘
 //! ```
 //!
-//! All of them live on one arbiter, under the guardian. What becomes of a panic in:
+//! Stack and links are actors. All of them live on one arbiter, under the guardian. What becomes of
+//! a panic in:
 //!
 //! * a network's links: they are built again and send hellos; neighbours notice nothing or a late
 //!   hello.
-//! * the router: it is built again, asks links and neighbours, and has its routes within two round
-//!   trips; packets in between are lost, and the sessions retransmit them.
-//! * the sessions: the session in service is built again, after it has returned what it had not
-//!   delivered; the others go on.
-//! * the gateway: every request is resolved, and every session is reopened.
+//! * the router's machine: it is built again, gets the links' last reports, asks neighbours, and has
+//!   its routes within two round trips; packets in between are lost, and the sessions retransmit them.
+//! * any other part of the stack: every request is resolved, and every session is reset.
 
 mod carrier;
 mod credit;
@@ -36,6 +35,7 @@ mod roster_watch;
 mod router;
 pub(crate) mod safe_state;
 mod sessions;
+mod stack;
 mod stub;
 #[cfg(test)]
 mod tests;
@@ -63,10 +63,8 @@ use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::{
     AreYouAlive, DeclaredFaultCleared, FaultDeclared, LivenessReported,
 };
-use blastema_contract::router::{AddSessions, InjectPanic, ReadRoutes, Routes};
-use blastema_contract::session::{
-    AddGateway, CloseSessions, PeerStatusChanged, ReadDifferences, ReadSessions, SessionRow,
-};
+use blastema_contract::router::{InjectPanic, ReadRoutes, Routes};
+use blastema_contract::session::{CloseSessions, PeerStatusChanged, ReadSessions, SessionRow};
 use blastema_contract::strategy::{IsolateNode, Reroute};
 use blastema_contract::transport::{MediumAddress, ReadCounters, Transport, TransportCounters};
 use blastema_core::net::LinkId;
@@ -76,7 +74,7 @@ use blastema_core::{Incarnation, NodeName, ObjectName};
 use discovery::{AddNetworks, DiscoveryActor, DiscoveryNetwork, NetworkLinks};
 use roster_exchange::{AttachRosterWatch, ReadRoster, RosterActor};
 use roster_watch::RosterWatch;
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 use std::time::Duration;
 
 /// One medium of this node, and its neighbours there.
@@ -198,9 +196,7 @@ pub(crate) enum NetError {
 /// A started network. Clones are the same network.
 #[derive(Clone)]
 pub(crate) struct NetHandle {
-    gateway: Addr<gateway::GatewayActor>,
-    sessions: Addr<sessions::SessionsActor>,
-    router: Addr<router::RouterActor>,
+    stack: Addr<stack::NetworkStack>,
     networks: Vec<(ObjectName, Addr<links::LinksActor>)>,
     /// The counters of each network's transport.
     media: Vec<(Arc<str>, Recipient<ReadCounters>)>,
@@ -210,7 +206,7 @@ pub(crate) struct NetHandle {
     registry: Registry,
     stubs: Arc<stub::PeerStubs>,
     deaths: DeathWatchService,
-    isolation: Arc<OnceLock<isolation::IsolationControl>>,
+    isolation: isolation::IsolationControl,
     carrier: Arc<carrier::CarrierMonitor>,
     roster: Option<Addr<RosterActor>>,
     own_name: OwnName,
@@ -230,7 +226,7 @@ pub(crate) fn start(
     platform::keep_freed_memory();
     let mut environment = environment;
     let NetEnvironment { node, incarnation, guardian, arbiter, .. } = environment.clone();
-    let (identity, on_arbiter) = ((node.clone(), incarnation), arbiter.as_ref());
+    let on_arbiter = arbiter.as_ref();
 
     let ((numbers, dial_in), fields) = number(&networks);
     let wiring = discovery::DiscoveryRecipients {
@@ -256,45 +252,19 @@ pub(crate) fn start(
     }
     environment.observers.extend(roster.clone().map(Addr::recipient));
 
-    let faults = environment.own_faults("router");
     let own_name = OwnName::new();
-    let recipients = (environment.nodes.clone(), own_name.clone());
     let keys = environment.keys.clone();
-    let make = router::RouterActor::maker(identity.clone(), recipients, faults, keys.clone());
-    let router = guardian.start(named("router"), on_arbiter, make);
-
-    let recipients = (environment.own_faults("sessions"), environment.nodes.clone());
-    let to_router = (router.clone().recipient(), identity.clone(), recipients);
-    let timeout = environment.session_timeout;
-    let sessions = guardian.start(named("sessions"), on_arbiter, move |_| {
-        let (router, (node, incarnation), faults) = to_router;
-        sessions::SessionsActor::new((node, incarnation), timeout, router, faults)
-    });
-    router.do_send(AddSessions {
-        segments: sessions.clone().recipient(),
-        paths: sessions.clone().recipient(),
-    });
-
     let stubs = Arc::new(stub::PeerStubs::new());
-    let to_sessions = gateway::SessionRecipients {
-        send_reliable: sessions.clone().recipient(),
-        send_latest: sessions.clone().recipient(),
-        leave: sessions.clone().recipient(),
-        begin_anew: sessions.clone().recipient(),
-    };
     let deaths = remote_watch::serve(&environment.registry);
-    let isolation = Arc::new(OnceLock::new());
-    let (set_isolation, control) = (router.clone().recipient(), isolation.clone());
-    let make = gateway::GatewayActor::maker(
-        &environment,
-        to_sessions,
-        (stubs.clone(), deaths.clone()),
-        set_isolation,
-        control,
-    );
-    let gateway = guardian.start(named("gateway"), on_arbiter, make);
-    stubs.connect(gateway.clone().recipient());
-    sessions.do_send(AddGateway(gateway.clone().recipient()));
+    let parts = (stubs.clone(), deaths.clone(), own_name.clone());
+    let make = stack::NetworkStack::maker(&environment, parts);
+    let stack = guardian.start(named("stack"), on_arbiter, make);
+    stubs.connect(stack.clone().recipient());
+    let isolation = isolation::IsolationControl {
+        stubs: stubs.clone(),
+        stack: stack.clone().recipient(),
+        monitor: environment.nodes.clone(),
+    };
     let remote: Arc<dyn StubFactory> = stubs.clone();
     environment.registry.connect(remote);
 
@@ -303,7 +273,7 @@ pub(crate) fn start(
     let media = media.collect();
     if let Some(keys) = &keys {
         let networks = networks.iter().map(|spec| (spec.name.to_string(), spec.seal.is_some()));
-        let orders = operator::IsolationOrders::new(node.clone(), stubs.clone(), isolation.clone());
+        let orders = operator::IsolationOrders::new(node.clone(), isolation.clone());
         operator::serve(&environment.registry, keys, networks.collect(), orders);
     }
     let networks = networks.into_iter().zip(numbers).zip(dial_in).map(|((spec, numbers), free)| {
@@ -317,8 +287,8 @@ pub(crate) fn start(
             own_name: own_name.clone(),
             network: spec.name,
             transport: spec.transport,
-            router_changes: router.clone().recipient(),
-            router_loads: router.clone().recipient(),
+            router_changes: stack.clone().recipient(),
+            router_loads: stack.clone().recipient(),
             monitor: environment.links.clone(),
             stalls: environment.stalls.clone(),
             discovery: discovery_actor.clone().map(|actor| (domains.len(), actor)),
@@ -339,16 +309,15 @@ pub(crate) fn start(
                 recipient: address.clone().recipient(),
             });
         }
-        let (carry, report) = (address.clone().recipient(), address.clone().recipient());
-        let numbers = numbers.into_iter().chain(free).collect();
-        router.do_send(AddLinks { links: numbers, carry, report });
+        let links = numbers.into_iter().chain(free).collect();
+        stack.do_send(AddLinks { links, carry: address.clone().recipient() });
         (name, address)
     });
     let networks: Vec<(_, Addr<links::LinksActor>)> = networks.collect();
     let roster_watch = roster.as_ref().zip(keys).map(|(roster, keys)| {
         let links = networks.iter().map(|(_, links)| links.clone().recipient());
         // Who is not missed any more is known before the links go down.
-        let first = [router.clone().recipient(), gateway.clone().recipient()].into_iter();
+        let first = [stack.clone().recipient()].into_iter();
         let others = discovery.clone().map(Addr::recipient).into_iter();
         let others = others.chain(environment.roster_observers);
         let told = first.chain(links).chain(others).collect();
@@ -362,9 +331,7 @@ pub(crate) fn start(
     }
     let carrier = Arc::new(carrier::CarrierMonitor::start(watched));
     Ok(NetHandle {
-        gateway,
-        sessions,
-        router,
+        stack,
         networks,
         media,
         discovery,
@@ -483,7 +450,7 @@ impl NetHandle {
     /// Every node that can be reached, and how.
     pub(crate) async fn read_routes(&self) -> Routes {
         let nothing = Routes { routes: Vec::new() };
-        self.router.send(ReadRoutes).await.unwrap_or(nothing)
+        self.stack.send(ReadRoutes).await.unwrap_or(nothing)
     }
 
     /// The roster that is used; none without keys.
@@ -493,12 +460,7 @@ impl NetHandle {
 
     /// All sessions.
     pub(crate) async fn read_sessions(&self) -> Vec<SessionRow> {
-        let mut rows = self.sessions.send(ReadSessions).await.unwrap_or_default();
-        let mut differences = self.gateway.send(ReadDifferences).await.unwrap_or_default();
-        for row in &mut rows {
-            row.differences = differences.remove(&row.node).unwrap_or_default();
-        }
-        rows
+        self.stack.send(ReadSessions).await.unwrap_or_default()
     }
 
     /// Whether this node has met another.
@@ -513,38 +475,44 @@ impl NetHandle {
 
     /// Isolates another node, or admits it again.
     pub(crate) fn decide(&self, decision: IsolateNode) {
-        self.isolation.get().into_iter().for_each(|isolation| isolation.decide(decision.clone()));
+        self.isolation.decide(decision);
     }
 
     /// Takes the decisions of recovery strategies about other nodes.
     pub(crate) fn isolation(&self) -> Recipient<IsolateNode> {
-        self.gateway.clone().recipient()
+        self.stack.clone().recipient()
     }
 
     /// Takes [`InjectPanic`], for the demonstration and tests.
     pub(crate) fn router(&self) -> Recipient<InjectPanic> {
-        self.router.clone().recipient()
+        self.stack.clone().recipient()
     }
 
     /// Every actor of the network, to see what becomes of a panic in it.
     #[cfg(test)]
     pub(crate) fn victims(&self) -> Vec<Recipient<InjectPanic>> {
-        let (router, sessions) = (self.router.clone(), self.sessions.clone());
-        let mut all =
-            vec![router.recipient(), sessions.recipient(), self.gateway.clone().recipient()];
+        let mut all = vec![self.stack.clone().recipient()];
         all.extend(self.networks.iter().map(|(_, links)| links.clone().recipient()));
         all.extend(self.discovery.clone().map(Addr::recipient));
         all.extend(self.roster.clone().map(Addr::recipient));
         all
     }
 
+    /// Runs this on the stack.
+    #[cfg(test)]
+    fn on_stack(&self, act: impl FnOnce(&mut stack::NetworkStack) + Send + 'static) {
+        self.stack.do_send(stack::RunOnStack(Box::new(act)));
+    }
+
+    /// Makes the stack panic, in another part than the router.
+    #[cfg(test)]
+    fn panic_sessions(&self) {
+        self.on_stack(|_| panic!("the sessions panic on purpose"));
+    }
+
     /// Where the network's own actors answer the monitor.
     pub(crate) fn pings(&self) -> Vec<(ObjectName, Recipient<AreYouAlive>)> {
-        let mut all = vec![
-            (named("router"), self.router.clone().recipient()),
-            (named("sessions"), self.sessions.clone().recipient()),
-            (named("gateway"), self.gateway.clone().recipient()),
-        ];
+        let mut all = vec![(named("stack"), self.stack.clone().recipient())];
         for (name, links) in &self.networks {
             all.push((name.clone(), links.clone().recipient()));
         }
@@ -557,12 +525,12 @@ impl NetHandle {
 
     /// Takes requests for another way, from the recovery strategy.
     pub(crate) fn reroute(&self) -> Recipient<Reroute> {
-        self.router.clone().recipient()
+        self.stack.clone().recipient()
     }
 
     /// The start of this node is over: peers learn that they are connected with it.
     pub(crate) fn announce(&self) {
-        self.gateway.do_send(gateway::StartCompleted);
+        self.stack.do_send(gateway_messages::StartCompleted);
     }
 
     /// This node begins to end in order: its objects are not started again.
@@ -581,6 +549,6 @@ impl NetHandle {
     pub(crate) fn leave(&self) {
         // What is accepted after that would go nowhere.
         self.stubs.end();
-        self.gateway.do_send(CloseSessions);
+        self.stack.do_send(CloseSessions);
     }
 }

@@ -11,14 +11,13 @@
 
 use super::isolation::IsolationControl;
 use super::keys::NodeKeys;
-use super::stub::PeerStubs;
 use crate::registry::access::{AccessControl, MessageOrigin};
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, Registry};
 use blastema_contract::strategy::IsolateNode;
 use blastema_core::{DeliveryError, NodeName, ObjectName};
 use blastema_macros::{Request, Structure};
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 use std::time::Duration;
 use tracing::warn;
 
@@ -91,29 +90,22 @@ pub enum OrderError {
 #[derive(Clone)]
 pub(super) struct IsolationOrders {
     own: NodeName,
-    stubs: Arc<PeerStubs>,
-    /// It is set when the gateway is there.
-    control: Arc<OnceLock<IsolationControl>>,
+    control: IsolationControl,
 }
 
 impl IsolationOrders {
-    pub(super) fn new(
-        own: NodeName,
-        stubs: Arc<PeerStubs>,
-        control: Arc<OnceLock<IsolationControl>>,
-    ) -> Self {
-        IsolationOrders { own, stubs, control }
+    pub(super) fn new(own: NodeName, control: IsolationControl) -> Self {
+        IsolationOrders { own, control }
     }
 
     /// # Errors
     /// Why nothing was done.
     fn carry_out(&self, order: &OrderIsolation, by: &NodeName) -> Result<(), String> {
         let node = NodeName::new(&order.node).map_err(|error| error.to_string())?;
-        let Some(control) = self.control.get() else { return Err("it is just starting".into()) };
         if node == self.own {
             return Err("a node does not isolate itself: order another one".to_owned());
         }
-        if !self.stubs.has_met(&node) {
+        if !self.control.stubs.has_met(&node) {
             return Err(format!("it knows no node called {node}"));
         }
         let cut = (0..=REASON_BYTES.min(order.reason.len())).rev();
@@ -124,7 +116,7 @@ impl IsolationOrders {
         };
         let isolated = order.isolated;
         warn!(target: "blastema::audit", %node, isolated, operator = %by, "{cause}");
-        control.decide(IsolateNode { node, isolated, cause });
+        self.control.decide(IsolateNode { node, isolated, cause });
         Ok(())
     }
 }

@@ -1,45 +1,35 @@
-//! The body of all sessions of this node.
+//! The sessions with all other nodes, for the network's stack.
 
 use super::fault_reporter::FaultReporter;
 use crate::platform;
-use crate::runtime::driver::{MachineActor, WakeTimer};
-use crate::runtime::guardian::answers_the_monitor;
+use crate::platform::panics;
 use actix::prelude::*;
 use blastema_contract::monitor::NodeReported;
-use blastema_contract::router::{InjectPanic, PathReported, SegmentArrived, SendSegment};
-use blastema_contract::session::{
-    AddGateway, CloseSessions, ReadSessions, ResetSession, SendLatest, SendReliable,
-    SessionReported, SessionRow,
-};
+use blastema_core::TrafficClass;
 use blastema_core::detection::NodeCondition;
+use blastema_core::net::OrderingKey;
 use blastema_core::net::refusal_alarms::{MANY, RefusalAlarms};
 use blastema_core::net::{
-    ByteRates, MachineSet, NodeId, Refusals, Session, SessionConfig, SessionOutput,
+    ByteRate, ByteRates, MachineSet, NodeId, Refusals, Session, SessionConfig,
 };
 use blastema_core::sorted::SortedMap;
-use blastema_core::{DeliveryError, FaultKind, Incarnation, NodeName, TrafficClass};
+use blastema_core::{Credit, DeliveryError, FaultKind, GatherBuffer, Incarnation, NodeName};
 use bytes::Bytes;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
-use tracing::{error, info, warn};
+use tracing::warn;
 
 /// The most peers that are remembered. Twice what a router knows at a time: robots change.
 const PEERS_MAX: usize = 512;
-/// How often it is looked at what was refused.
-const REFUSAL_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 /// A session that is built again counts on from there: more than any session needs.
 const NUMBERS_PER_LIFE: u32 = 1 << 16;
 
 /// One session per peer node.
-pub(super) struct SessionsActor {
+pub(super) struct PeerSessions {
+    pub(super) machines: MachineSet<NodeId, Session>,
     node: NodeName,
     incarnation: Incarnation,
     idle_timeout: Duration,
-    machines: MachineSet<NodeId, Session>,
-    wake: WakeTimer,
     peers: SortedMap<NodeId, Peer>,
-    router: Recipient<SendSegment>,
-    gateway: Option<Recipient<SessionReported>>,
     faults: FaultReporter,
     nodes: Option<Recipient<NodeReported>>,
     complaints: RefusalAlarms<Option<NodeId>>,
@@ -48,6 +38,8 @@ pub(super) struct SessionsActor {
     /// The highest number of a session with a peer that was forgotten: those with a new one are
     /// above it, for it may be the same peer.
     forgotten: u32,
+    /// This node ends: no session begins any more.
+    closed: bool,
     rates: ByteRates<NodeId>,
 }
 
@@ -61,33 +53,38 @@ struct Peer {
     relayed: bool,
 }
 
-impl SessionsActor {
+/// A session whose machine is gone.
+pub(super) struct DiscardedSession {
+    pub(super) peer: NodeId,
+    /// What was not acknowledged, and whether some of it was sent.
+    pub(super) held: Vec<(TrafficClass, Bytes, bool)>,
+    pub(super) why: DeliveryError,
+}
+
+impl PeerSessions {
     pub(super) fn new(
         (node, incarnation): (NodeName, Incarnation),
         idle_timeout: Duration,
-        router: Recipient<SendSegment>,
         (faults, nodes): (FaultReporter, Option<Recipient<NodeReported>>),
     ) -> Self {
-        SessionsActor {
+        PeerSessions {
+            machines: MachineSet::default(),
             node,
             incarnation,
             idle_timeout,
-            machines: MachineSet::default(),
-            wake: WakeTimer::default(),
             peers: SortedMap::new(),
-            router,
-            gateway: None,
             faults,
             nodes,
             complaints: RefusalAlarms::default(),
             strangers: Refusals::default(),
             forgotten: 0,
+            closed: false,
             rates: ByteRates::default(),
         }
     }
 
     fn build(&mut self, id: NodeId) {
-        let Some(peer) = self.peers.get(&id) else { return };
+        let Some(peer) = self.peers.get(&id).filter(|_| !self.closed) else { return };
         let (node, incarnation) = (self.node.clone(), self.incarnation);
         let config = SessionConfig::new(node, incarnation, peer.node.clone());
         let (number, idle_timeout) = (peer.number, self.idle_timeout);
@@ -96,32 +93,58 @@ impl SessionsActor {
         self.machines.insert(id, Session::new(config, platform::now()));
     }
 
-    fn meet(&mut self, node: NodeName) -> NodeId {
-        let id = NodeId::of(&node);
-        if !self.peers.contains_key(&id) {
-            if self.peers.len() >= PEERS_MAX {
-                self.forget_one();
-            }
-            let number = self.forgotten;
-            self.peers.insert(id, Peer { node, path: None, number, relayed: false });
-            self.build(id);
+    /// Makes the session with a node. Returns the session that made way for it, if one had to.
+    pub(super) fn meet(&mut self, node: &NodeName) -> Option<DiscardedSession> {
+        let id = NodeId::of(node);
+        if self.peers.contains_key(&id) {
+            return None;
         }
-        id
+        let gone = (self.peers.len() >= PEERS_MAX).then(|| self.forget_one()).flatten();
+        let (node, number) = (node.clone(), self.forgotten);
+        self.peers.insert(id, Peer { node, path: None, number, relayed: false });
+        self.build(id);
+        gone
     }
 
     /// Makes room for a new peer: removes one without a path.
-    fn forget_one(&mut self) {
-        let gone = self.peers.iter().find(|(_, peer)| peer.path.is_none()).map(|(id, _)| *id);
-        if let Some(id) = gone {
-            let why = self.unreachable(id);
-            if let Some(mut session) = self.machines.remove(id) {
-                self.forgotten = self.forgotten.max(session.number());
-                self.give_all_back(id, session.take_unacknowledged(), &why);
-            }
-            self.peers.remove(&id);
-            self.complaints.forget(&Some(id));
-            self.report(SessionReported::Ended { peer: id, why });
+    fn forget_one(&mut self) -> Option<DiscardedSession> {
+        let peer = self.peers.iter().find(|(_, peer)| peer.path.is_none()).map(|(id, _)| *id)?;
+        let discarded = self.discard(peer);
+        if let Some(gone) = self.peers.remove(&peer) {
+            self.forgotten = self.forgotten.max(gone.number);
         }
+        self.complaints.forget(&Some(peer));
+        discarded
+    }
+
+    /// Takes a session's machine away, with all that it held.
+    fn discard(&mut self, peer: NodeId) -> Option<DiscardedSession> {
+        let mut machine = self.machines.remove(peer)?;
+        // After a panic, what it holds is given back if it can be read at all.
+        let held = panics::caught(|| machine.take_unacknowledged());
+        if let Some(known) = self.peers.get_mut(&peer) {
+            known.number = known.number.max(machine.number());
+        }
+        let (held, why) = (held.unwrap_or_default(), self.unreachable(peer));
+        Some(DiscardedSession { peer, held, why })
+    }
+
+    /// Replaces the machines of all sessions, and returns the old sessions.
+    pub(super) fn replace_all(&mut self) -> Vec<DiscardedSession> {
+        let peers: Vec<_> = self.peers.keys().copied().collect();
+        let discarded = peers.iter().filter_map(|peer| self.discard(*peer)).collect();
+        self.machines = MachineSet::default();
+        for id in peers {
+            let Some(peer) = self.peers.get_mut(&id) else { continue };
+            peer.number = peer.number.saturating_add(NUMBERS_PER_LIFE);
+            let path = peer.path;
+            self.build(id);
+            if let (Some((incarnation, mtu)), Some(session)) = (path, self.machines.get_mut(id)) {
+                session.handle_incarnation(incarnation, platform::now());
+                session.handle_path(mtu, platform::now());
+            }
+        }
+        discarded
     }
 
     /// The machine of this peer, if that session is the present one.
@@ -129,33 +152,108 @@ impl SessionsActor {
         self.machines.get_mut(peer).filter(|session| session.number() == number)
     }
 
-    fn report(&self, report: SessionReported) {
-        if let Some(gateway) = &self.gateway {
-            gateway.do_send(report);
+    /// Sends a message, exactly once and in the order of its strand, in the session of this number:
+    /// what was meant for one is never sent in the next.
+    ///
+    /// # Errors
+    /// Why it is not sent. The message comes back.
+    pub(super) fn send_reliable(
+        &mut self,
+        (peer, number): (NodeId, u32),
+        place: (TrafficClass, OrderingKey),
+        message: GatherBuffer,
+        credit: Option<Credit>,
+    ) -> Result<(), (DeliveryError, Bytes)> {
+        match self.present(peer, number) {
+            Some(session) => session.handle_send_along(place, message, credit, platform::now()),
+            None => Err((self.unreachable(peer), message.into_bytes())),
         }
     }
 
-    fn give_back(&self, peer: NodeId, refused: Result<(), (DeliveryError, Bytes)>) {
-        if let Err((why, message)) = refused {
-            self.report(SessionReported::Returned { peer, message, why, sent: false });
+    /// Sends a message once, if at all: of one channel the newest that arrives counts. The session
+    /// keeps one of each channel.
+    ///
+    /// # Errors
+    /// Why it is not sent. The message comes back.
+    pub(super) fn send_latest(
+        &mut self,
+        (peer, number): (NodeId, u32),
+        channel: u32,
+        message: GatherBuffer,
+    ) -> Result<(), (DeliveryError, Bytes)> {
+        match self.present(peer, number) {
+            Some(session) => session.handle_send_newest(channel, message, platform::now()),
+            None => Err((self.unreachable(peer), message.into_bytes())),
         }
     }
 
-    /// A session's machine goes with all that it held.
-    fn give_all_back(
-        &self,
-        peer: NodeId,
-        held: Vec<(TrafficClass, Bytes, bool)>,
-        why: &DeliveryError,
-    ) {
-        for (_, message, sent) in held {
-            let why = why.clone();
-            self.report(SessionReported::Returned { peer, message, why, sent });
+    /// The name of a peer.
+    pub(super) fn name(&self, peer: NodeId) -> Option<&NodeName> {
+        self.peers.get(&peer).map(|peer| &peer.node)
+    }
+
+    pub(super) fn handle_reachable(&mut self, peer: NodeId, incarnation: Incarnation, mtu: usize) {
+        if let Some(peer) = self.peers.get_mut(&peer) {
+            peer.path = Some((incarnation, mtu));
         }
+        if let Some(session) = self.machines.get_mut(peer) {
+            session.handle_incarnation(incarnation, platform::now());
+            session.handle_path(mtu, platform::now());
+        }
+    }
+
+    pub(super) fn handle_path(&mut self, peer: NodeId, mtu: usize) {
+        if let Some((_, old)) = self.peers.get_mut(&peer).and_then(|peer| peer.path.as_mut()) {
+            *old = mtu;
+        }
+        if let Some(session) = self.machines.get_mut(peer) {
+            session.handle_path(mtu, platform::now());
+        }
+    }
+
+    pub(super) fn handle_no_path(&mut self, peer: NodeId) {
+        if let Some(peer) = self.peers.get_mut(&peer) {
+            peer.path = None;
+        }
+        if let Some(session) = self.machines.get_mut(peer) {
+            session.handle_no_path(platform::now());
+        }
+    }
+
+    /// Another node's session has sent this. It is authentic if no other node can have made it: it
+    /// came over a link with that node itself, or that node has sealed it.
+    pub(super) fn handle_segment(&mut self, source: NodeId, segment: Bytes, authentic: bool) {
+        // A peer that the router has not told of yet repeats itself.
+        let Some(session) = self.machines.get_mut(source) else {
+            self.strangers.unexpected += 1;
+            return;
+        };
+        session.handle_segment(segment, platform::now());
+        if !authentic && let Some(peer) = self.peers.get_mut(&source) {
+            peer.relayed = true;
+        }
+    }
+
+    /// This node ends in order: what was sent is to be delivered, then every session ends.
+    pub(super) fn close(&mut self) {
+        self.closed = true;
+        let peers: Vec<_> = self.peers.keys().copied().collect();
+        for peer in peers {
+            if let Some(session) = self.machines.get_mut(peer) {
+                session.handle_close(platform::now());
+            }
+        }
+    }
+
+    /// Each session's peer and status, and how many bytes went each way in the last second.
+    pub(super) fn rows(&self) -> impl Iterator<Item = (NodeId, &NodeName, &Session, ByteRate)> {
+        let row =
+            |(id, session)| Some((id, &self.peers.get(&id)?.node, session, self.rates.rate(id)));
+        self.machines.iter().filter_map(row)
     }
 
     /// Raises an alarm for a peer whose packets are refused for seconds.
-    fn look_at_refusals(&mut self) {
+    pub(super) fn look_at_refusals(&mut self) {
         let peers = self.machines.iter().map(|(id, session)| (Some(id), session.refusals()));
         let looks: Vec<_> = peers.chain([(None, self.strangers)]).collect();
         for (peer, refusals) in looks {
@@ -182,7 +280,7 @@ impl SessionsActor {
         }
     }
 
-    fn look_at_rates(&mut self) {
+    pub(super) fn look_at_rates(&mut self) {
         let carried = self.machines.iter().map(|(id, session)| {
             let counters = session.counters();
             (id, counters.bytes_sent, counters.bytes_received)
@@ -193,250 +291,5 @@ impl SessionsActor {
     fn unreachable(&self, peer: NodeId) -> DeliveryError {
         let node = self.peers.get(&peer).map_or(peer.to_string(), |peer| peer.node.to_string());
         DeliveryError::Unreachable { node }
-    }
-}
-
-answers_the_monitor!(SessionsActor);
-
-impl Actor for SessionsActor {
-    type Context = Context<Self>;
-
-    fn started(&mut self, context: &mut Context<Self>) {
-        context.run_interval(REFUSAL_CHECK_INTERVAL, |sessions, _| {
-            sessions.look_at_refusals();
-            sessions.look_at_rates();
-        });
-    }
-}
-
-impl Supervised for SessionsActor {
-    /// The session in service is built again; the others go on.
-    fn restarting(&mut self, context: &mut Context<Self>) {
-        self.wake = WakeTimer::default();
-        self.started(context);
-        if let Some(id) = self.machines.last() {
-            self.build_again(id);
-        }
-        self.drive(context);
-    }
-}
-
-impl SessionsActor {
-    /// Ends a session, and builds its machine again.
-    fn build_again(&mut self, id: NodeId) {
-        if let Some(mut broken) = self.machines.remove(id) {
-            let why = self.unreachable(id);
-            // What it still holds is given back, if it can be read at all.
-            let held =
-                catch_unwind(AssertUnwindSafe(|| broken.take_unacknowledged())).unwrap_or_default();
-            self.give_all_back(id, held, &why);
-            self.report(SessionReported::Ended { peer: id, why });
-            if let Some(peer) = self.peers.get_mut(&id) {
-                peer.number = peer.number.max(broken.number()).saturating_add(NUMBERS_PER_LIFE);
-            }
-            self.build(id);
-            let path = self.peers.get(&id).and_then(|peer| peer.path);
-            if let (Some((incarnation, mtu)), Some(session)) = (path, self.machines.get_mut(id)) {
-                session.handle_incarnation(incarnation, platform::now());
-                session.handle_path(mtu, platform::now());
-            }
-        }
-    }
-}
-
-impl MachineActor for SessionsActor {
-    type Machine = MachineSet<NodeId, Session>;
-
-    fn driven(&mut self) -> (&mut Self::Machine, &mut WakeTimer) {
-        (&mut self.machines, &mut self.wake)
-    }
-
-    fn carry_out(&mut self, output: (NodeId, SessionOutput), _: &mut Context<Self>) {
-        let (peer, output) = output;
-        match output {
-            SessionOutput::Transmit { class, segment, everywhere } => {
-                self.router.do_send(SendSegment { peer, class, segment, everywhere });
-            }
-            SessionOutput::Opened { incarnation } => {
-                let Some(known) = self.peers.get(&peer) else { return };
-                let node = known.node.clone();
-                info!(%node, %incarnation, "session open");
-                let session = self.machines.get(peer).map_or(0, Session::number);
-                self.report(SessionReported::Opened { node, incarnation, session });
-            }
-            SessionOutput::Message { message, .. } | SessionOutput::Newest { message, .. } => {
-                self.report(SessionReported::Message { peer, message });
-            }
-            SessionOutput::Returned { message, why, sent, .. } => {
-                self.report(SessionReported::Returned { peer, message, why, sent });
-            }
-            SessionOutput::Ended { incarnation, why } => {
-                info!(%peer, %incarnation, %why, "session ended");
-                self.report(SessionReported::Ended { peer, why });
-            }
-            SessionOutput::Incompatible { theirs } => {
-                error!(%peer, theirs, "the peer's sessions speak another version: update one node");
-            }
-        }
-    }
-}
-
-impl Handler<AddGateway> for SessionsActor {
-    type Result = ();
-
-    fn handle(&mut self, message: AddGateway, _: &mut Context<Self>) {
-        self.gateway = Some(message.0);
-    }
-}
-
-impl Handler<PathReported> for SessionsActor {
-    type Result = ();
-
-    fn handle(&mut self, message: PathReported, context: &mut Context<Self>) {
-        // What was said and heard before goes first.
-        self.drive(context);
-        let now = platform::now();
-        match message {
-            PathReported::Reachable { node, incarnation, mtu } => {
-                let id = self.meet(node.clone());
-                if let Some(peer) = self.peers.get_mut(&id) {
-                    peer.path = Some((incarnation, mtu));
-                }
-                self.report(SessionReported::Reachable { node, incarnation });
-                if let Some(session) = self.machines.get_mut(id) {
-                    session.handle_incarnation(incarnation, now);
-                    session.handle_path(mtu, now);
-                }
-            }
-            PathReported::Changed { node, mtu } => {
-                if let Some((_, old)) =
-                    self.peers.get_mut(&node).and_then(|peer| peer.path.as_mut())
-                {
-                    *old = mtu;
-                }
-                if let Some(session) = self.machines.get_mut(node) {
-                    session.handle_path(mtu, now);
-                }
-            }
-            PathReported::Undelivered { node, reason } => {
-                if let Some(session) = self.machines.get_mut(node) {
-                    session.handle_undelivered(reason, now);
-                }
-            }
-            PathReported::Lost { node } => {
-                let id = NodeId::of(&node);
-                if let Some(peer) = self.peers.get_mut(&id) {
-                    peer.path = None;
-                }
-                self.report(SessionReported::Unreachable { node });
-                if let Some(session) = self.machines.get_mut(id) {
-                    session.handle_no_path(now);
-                }
-            }
-        }
-        self.drive(context);
-    }
-}
-
-impl Handler<SegmentArrived> for SessionsActor {
-    type Result = ();
-
-    fn handle(&mut self, message: SegmentArrived, context: &mut Context<Self>) {
-        let SegmentArrived { source, segment, authentic } = message;
-        // A peer that the router has not told of yet repeats itself.
-        let Some(session) = self.machines.get_mut(source) else {
-            self.strangers.unexpected += 1;
-            return;
-        };
-        session.handle_segment(segment, platform::now());
-        self.drive_soon(context);
-        if !authentic && let Some(peer) = self.peers.get_mut(&source) {
-            peer.relayed = true;
-        }
-    }
-}
-
-impl Handler<SendReliable> for SessionsActor {
-    type Result = ();
-
-    fn handle(&mut self, message: SendReliable, context: &mut Context<Self>) {
-        let SendReliable { peer, session, stream, strand, message, credit } = message;
-        let now = platform::now();
-        let sent = match self.present(peer, session) {
-            Some(session) => session.handle_send_along((stream, strand), message, credit, now),
-            None => Err((self.unreachable(peer), message.into_bytes())),
-        };
-        self.give_back(peer, sent);
-        self.drive_soon(context);
-    }
-}
-
-impl Handler<SendLatest> for SessionsActor {
-    type Result = ();
-
-    fn handle(&mut self, message: SendLatest, context: &mut Context<Self>) {
-        let SendLatest { peer, session, channel, message, credit } = message;
-        // The session has it from here on, and keeps one of each channel.
-        drop(credit);
-        let sent = match self.present(peer, session) {
-            Some(session) => session.handle_send_newest(channel, message, platform::now()),
-            None => Err((self.unreachable(peer), message.into_bytes())),
-        };
-        self.give_back(peer, sent);
-        self.drive_soon(context);
-    }
-}
-
-impl Handler<ResetSession> for SessionsActor {
-    type Result = ();
-
-    fn handle(&mut self, message: ResetSession, context: &mut Context<Self>) {
-        let all = || self.peers.keys().copied().collect();
-        let ids: Vec<_> = message.peer.map_or_else(all, |peer| vec![peer]);
-        for session in ids {
-            if let Some(session) = self.machines.get_mut(session) {
-                session.handle_restart(platform::now());
-            }
-        }
-        self.drive(context);
-    }
-}
-
-impl Handler<CloseSessions> for SessionsActor {
-    type Result = ();
-
-    fn handle(&mut self, _: CloseSessions, context: &mut Context<Self>) {
-        let ids: Vec<_> = self.peers.keys().copied().collect();
-        for session in ids {
-            if let Some(session) = self.machines.get_mut(session) {
-                session.handle_close(platform::now());
-            }
-        }
-        self.drive(context);
-    }
-}
-
-impl Handler<ReadSessions> for SessionsActor {
-    type Result = MessageResult<ReadSessions>;
-
-    fn handle(&mut self, _: ReadSessions, _: &mut Context<Self>) -> Self::Result {
-        let row = |(id, session): (NodeId, &Session)| {
-            Some(SessionRow {
-                node: self.peers.get(&id)?.node.clone(),
-                status: session.status(),
-                rate: self.rates.rate(id),
-                // The gateway knows.
-                differences: Vec::new(),
-            })
-        };
-        MessageResult(self.machines.iter().filter_map(row).collect())
-    }
-}
-
-impl Handler<InjectPanic> for SessionsActor {
-    type Result = ();
-
-    fn handle(&mut self, _: InjectPanic, _: &mut Context<Self>) {
-        panic!("the sessions panic on purpose");
     }
 }

@@ -1,7 +1,7 @@
 //! The credits out of this node: what stands behind a `Sender` of a remote object.
 
 use super::credit::{SendCredits, SenderCredit};
-use super::gateway::SendToPeer;
+use super::gateway_messages::SendToPeer;
 use crate::platform;
 use crate::registry::remote::{OutgoingRequest, RemoteStub, StubFactory};
 use actix::Recipient;

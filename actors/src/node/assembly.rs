@@ -10,22 +10,23 @@ pub(super) use self::chain::FaultChain;
 #[cfg(feature = "network")]
 pub(super) use self::networks::Networks;
 
-use self::chain::{FaultChainParts, callbacks_of, make_chain, reports};
+use self::chain::{callbacks_of, make_chain, reports};
 use super::builder::{ActorPlacement, Configuration, NodeBuilder};
+use super::changes::KeptTree;
 use super::checks::{check_names, check_settings, dependencies};
-use super::controller::{NodeController, NodeState, StartRoot};
+use super::controller::{NodeState, StartRoot};
 use super::error::{PolicyPart, StartError};
 #[cfg(feature = "unix")]
 use super::inspection::InspectionActor;
 #[cfg(feature = "unix")]
 use super::inspection::StartInspection;
-use super::lost_communication::{KeptPolicy, LostCommunicationPolicy};
+use super::lost_communication::LostCommunicationPolicy;
 #[cfg(feature = "network")]
 use super::network::hosts::Hosts;
-use super::safety::{EndCause, SignalWait, is_waited_for};
-use super::tree::{ComponentFacts, PreparedTree, SupervisorSpec, TreeEnvironment};
+use super::safety::{EndCause, OutputState, SignalWait, is_waited_for};
+use super::tree::{ComponentFacts, PreparedTree, SupervisorSpec};
 use super::watchdogs::ProcessWatchdogs;
-use super::{Node, Shared};
+use super::{Node, Shared, order};
 use crate::actuator::ActuatorTable;
 use crate::arbiter::pool::{ArbiterPool, CULPRITS_LIMIT};
 use crate::component::environment::ComponentEnvironment;
@@ -44,7 +45,6 @@ use crate::platform::file_lock::{FileLock, LockError, without_links};
 use crate::platform::file_lock::{PREDECESSOR_TIMEOUT, released_here};
 use crate::platform::panics;
 use crate::platform::scheduling;
-use crate::platform::systemd::Systemd;
 #[cfg(feature = "network")]
 use crate::service::Roster;
 use crate::topic::Topics;
@@ -56,13 +56,10 @@ use actix::prelude::*;
 use blastema_contract::monitor::Register;
 use blastema_contract::reports::AreYouAlive;
 use blastema_contract::strategy::EnterSafeState;
-use blastema_contract::supervisor::ReadTree;
-#[cfg(feature = "network")]
-use blastema_contract::transport::Close;
 use blastema_core::detection::dependencies::Dependencies;
 use blastema_core::detection::hang::HangDetectorConfig;
 use blastema_core::detection::{ObjectKind, Registration};
-use blastema_core::recovery::{Plan, Restart};
+use blastema_core::recovery::Restart;
 use blastema_core::{
     Fault, FaultKind, Incarnation, NameError, NodeName, ObjectAddress, ObjectName,
 };
@@ -70,7 +67,6 @@ use std::fs;
 use std::future::Future;
 use std::path::PathBuf;
 use std::pin::pin;
-use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
@@ -221,6 +217,8 @@ async fn start(
     assembly.start_networks(&mut builder.networks)?;
     let preparation = assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies);
     let (root, tree, dependencies) = preparation.map_err(first)?;
+    assembly.node.tree.root = Some(root.tree());
+    assembly.node.tree.dependencies = Mutex::new(dependencies);
     assembly.check_parameters(&builder.policies)?;
     let mut refused = assembly.connect_ports(&builder.policies, &builder.connections);
     refused.next().map_or(Ok(()), Err)?;
@@ -230,8 +228,12 @@ async fn start(
     assembly.keep_leases();
     assembly.keep_conditions();
     #[cfg(feature = "trees")]
-    let _ =
-        assembly.environment.trees().record.set(assembly.parts.chain.monitor.clone().recipient());
+    let _ = assembly
+        .node
+        .environment
+        .trees()
+        .record
+        .set(assembly.node.chain.monitor.clone().recipient());
     assembly.keep_policies(builder.policies)?;
     #[cfg(feature = "unix")]
     let inspection = assembly.make_inspection(builder.shown_at).await;
@@ -239,9 +241,8 @@ async fn start(
     #[cfg(feature = "network")]
     assembly.declare_insecure_networks();
     assembly.start_sampler(builder.grace)?;
-    let manager = assembly.watch_chain(builder.process_watchdogs)?;
-    let controller = assembly.parts.controller.clone();
-    let node = assembly.into_node(root.tree(), dependencies, manager);
+    assembly.watch_chain(builder.process_watchdogs)?;
+    let node = assembly.into_node();
     #[cfg(feature = "unix")]
     if let Some(inspection) = inspection {
         // The fault chain's mailboxes close only when the node has ended.
@@ -249,27 +250,18 @@ async fn start(
         shown.map_err(StartError::Shown)?;
     }
     if builder.handles_signals {
-        node.apply_safe_outputs_on_signals()?;
+        node.0.apply_safe_outputs_on_signals()?;
     }
-    start_root(node, &controller, root, end).await
+    start_root(node, root, end).await
 }
 
-/// What there is of a node so far. Where it does not come to be, its threads end.
+/// A node that is being put together.
 struct NodeAssembly {
-    node: NodeName,
-    incarnation: Incarnation,
+    /// What there is of it so far. Where it does not come to be, its threads end.
+    node: Shared,
     placement: ActorPlacement,
-    plan: Arc<Plan>,
-    parts: FaultChainParts,
-    environment: Arc<ComponentEnvironment>,
-    #[cfg(feature = "network")]
-    networks: Option<Networks>,
     /// All that is to be watched.
     enrolments: Vec<Register>,
-    undone: StopOnFailure,
-    policies: Vec<Arc<KeptPolicy>>,
-    /// Files and sockets that no other node has while this one lives.
-    held: Vec<PathBuf>,
 }
 
 /// The root, what is in the tree, and what depends on what.
@@ -285,42 +277,45 @@ impl NodeAssembly {
             ActorPlacement::Threads { shared } => ArbiterPool::pool(shared),
             ActorPlacement::ComponentsHere | ActorPlacement::Here => ArbiterPool::here(),
         };
-        let parts = make_chain(builder, (&node, incarnation), &arbiters)?;
+        let (chain, registry, actuators) = make_chain(builder, (&node, incarnation), &arbiters)?;
         for listener in builder.listeners.drain(..) {
-            listener.listen(&parts.chain.monitor);
+            listener.listen(&chain.monitor);
         }
-        let own = parts.chain.arbiter.iter().cloned().collect();
-        let plan = Arc::new(std::mem::take(&mut builder.plan));
-        Ok(NodeAssembly {
-            environment: Arc::new(ComponentEnvironment {
-                watch_list: builder.watch_list.clone(),
-                ..environment(&parts, &node, &plan, arbiters.clone())
-            }),
-            undone: StopOnFailure {
-                arbiters,
-                own,
-                #[cfg(feature = "network")]
-                transports: Vec::new(),
-                kept: false,
-            },
-            placement: builder.placement,
+        let plan = std::mem::take(&mut builder.plan);
+        // Its own objects may be named in full, with or without a network.
+        registry.set_node(node.clone());
+        let environment = ComponentEnvironment::new(arbiters, reports(&chain.monitor));
+        let environment = ComponentEnvironment {
+            watch_list: builder.watch_list.clone(),
+            registry,
+            fault_codes: Arc::new(plan.codes()),
+            ..with_features(environment, actuators)
+        };
+        let dependencies = Mutex::new(Dependencies::of(node.clone()));
+        let tree = KeptTree { root: None, dependencies, plan };
+        let node = Shared {
+            name: node,
+            incarnation,
+            environment: Arc::new(environment),
+            chain,
             #[cfg(feature = "network")]
             networks: None,
-            enrolments: callbacks_of(builder),
-            node,
-            incarnation,
-            held: Vec::new(),
+            tree,
+            systemd: None,
             policies: Vec::new(),
-            plan,
-            parts,
-        })
+            outputs: OutputState::default(),
+            last_record: OnceLock::new(),
+            held: Vec::new(),
+        };
+        let (placement, enrolments) = (builder.placement, callbacks_of(builder));
+        Ok(NodeAssembly { node, placement, enrolments })
     }
 
     async fn keep_variables(&mut self, file: Option<PathBuf>) -> Result<(), StartError> {
         let Some(file) = file else { return Ok(()) };
-        let reports = self.environment.reports.clone();
+        let reports = self.node.environment.reports.clone();
         let failed = move |detail| reports.declare(KEPT_VARIABLES, detail);
-        let lock = match FileLock::acquire_after_predecessor(&file, &self.node).await {
+        let lock = match FileLock::acquire_after_predecessor(&file, &self.node.name).await {
             Ok(lock) => Some(lock),
             Err(error @ LockError::InUse { .. }) => {
                 return Err(StartError::Variables { file, reason: error.to_string() });
@@ -335,8 +330,8 @@ impl NodeAssembly {
             Some(lock) => lock.path().to_owned(),
             None => without_links(&file),
         };
-        self.held.push(path.clone());
-        let kept = self.environment.variables().keep_in(path, lock, failed);
+        self.node.held.push(path.clone());
+        let kept = self.node.environment.variables().keep_in(path, lock, failed);
         kept.map_err(|error| StartError::Variables { file, reason: error.to_string() })?;
         self.enrolments.push(middleware(named(KEPT_VARIABLES), None));
         Ok(())
@@ -351,7 +346,7 @@ impl NodeAssembly {
                     (Some(file), text)
                 }
             };
-            let configured = self.environment.configured();
+            let configured = self.node.environment.configured();
             let taken = text.and_then(|text| configured.take(&text, file.as_deref()));
             taken.map_err(|reason| StartError::Parameters { file, reason })?;
         }
@@ -361,8 +356,8 @@ impl NodeAssembly {
     /// Finds values for a component that takes none.
     fn check_parameters(&self, policies: &[LostCommunicationPolicy]) -> Result<(), StartError> {
         let run = policies.iter().flat_map(LostCommunicationPolicy::components);
-        run.for_each(|name| self.environment.configured().expect(name));
-        let unused = self.environment.configured().check();
+        run.for_each(|name| self.node.environment.configured().expect(name));
+        let unused = self.node.environment.configured().check();
         unused.map_err(|(file, reason)| StartError::Parameters { file, reason })
     }
 
@@ -376,41 +371,31 @@ impl NodeAssembly {
         own_kinds: &[FaultKind],
         strategies: &StrategyTable,
     ) -> Result<TreePreparation, Vec<StartError>> {
-        let tree_environment = TreeEnvironment {
-            environment: &self.environment,
-            guardian: &self.parts.guardian,
-            arbiter: self.parts.chain.arbiter.as_ref(),
-            monitor: self.parts.chain.monitor.clone(),
-            directory: self.parts.directory.clone(),
-            plan: &self.plan,
-            whole_start: false,
-        };
         let mut tree = PreparedTree::default();
-        let root = root.prepare(&tree_environment, &mut tree);
+        let root = root.prepare(&self.node.tree_environment(false), &mut tree);
         let root = root.map_err(StartError::from)?;
         if !tree.refused.is_empty() {
             return Err(tree.refused.into_iter().map(StartError::from).collect());
         }
         let names: Vec<&ObjectName> = tree.components.iter().map(|facts| &facts.name).collect();
-        let answered = self.plan.check(names, own_kinds, strategies.names());
+        let answered = self.node.tree.plan.check(names, own_kinds, strategies.names());
         answered.map_err(StartError::from)?;
-        let dependencies = dependencies(&self.node, &tree);
+        let dependencies = dependencies(&self.node.name, &tree);
         dependencies.check().map_err(StartError::from)?;
         Ok((root, tree, dependencies))
     }
 
     fn keep_leases(&mut self) {
-        let (name, FaultChainParts { guardian, chain, .. }) = (named("leases"), &self.parts);
-        let actuators = self.environment.actuators();
-        let leases = actuators.start(name.clone(), guardian, chain.arbiter.as_ref());
+        let (name, Shared { chain, environment, .. }) = (named("leases"), &self.node);
+        let actuators = environment.actuators();
+        let leases = actuators.start(name.clone(), &chain.guardian, chain.arbiter.as_ref());
         self.enrolments.push(middleware(name, Some(leases)));
     }
 
     fn keep_conditions(&mut self) {
-        let (name, FaultChainParts { guardian, chain, .. }) = (named("conditions"), &self.parts);
-        let environment = &self.environment;
+        let (name, Shared { chain, environment, .. }) = (named("conditions"), &self.node);
         #[cfg(feature = "network")]
-        let (net, timeout) = match &self.networks {
+        let (net, timeout) = match &self.node.networks {
             Some(networks) => (Some(networks.handle.clone()), Some(networks.silence)),
             None => (None, None),
         };
@@ -424,23 +409,23 @@ impl NodeAssembly {
             #[cfg(feature = "network")]
             net,
             #[cfg(feature = "network")]
-            links: self.networks.iter().flat_map(|networks| networks.links.clone()).collect(),
+            links: self.node.networks.iter().flat_map(|networks| networks.links.clone()).collect(),
             #[cfg(feature = "network")]
             timeout,
             #[cfg(not(feature = "network"))]
             timeout: None,
         };
         let arbiter = chain.arbiter.as_ref();
-        let pings = environment.conditions().start(wiring, name.clone(), guardian, arbiter);
+        let pings = environment.conditions().start(wiring, name.clone(), &chain.guardian, arbiter);
         self.enrolments.push(middleware(name, Some(pings)));
     }
 
     fn keep_policies(&mut self, policies: Vec<LostCommunicationPolicy>) -> Result<(), StartError> {
-        let who = (&self.node, self.incarnation);
         self.wrong_policies(&policies).next().map_or(Ok(()), Err)?;
+        let Shared { name, incarnation, environment, chain, policies: kept, .. } = &mut self.node;
         for policy in policies {
-            let arbiter = self.parts.chain.arbiter.as_ref();
-            self.policies.push(policy.start(who, &self.environment, arbiter)?);
+            let arbiter = chain.arbiter.as_ref();
+            kept.push(policy.start((name, *incarnation), environment, arbiter)?);
         }
         Ok(())
     }
@@ -452,7 +437,9 @@ impl NodeAssembly {
     ) -> impl Iterator<Item = StartError> {
         let policies =
             policies.iter().enumerate().map(|(place, policy)| (policy, &policies[..place]));
-        policies.flat_map(|(policy, before)| policy.wrong(before, &self.node, &self.environment))
+        policies.flat_map(|(policy, before)| {
+            policy.wrong(before, &self.node.name, &self.node.environment)
+        })
     }
 
     /// Connects ports, and returns which cannot be connected.
@@ -462,9 +449,9 @@ impl NodeAssembly {
         connections: &[(String, String)],
     ) -> impl Iterator<Item = StartError> {
         let components = policies.iter().flat_map(LostCommunicationPolicy::components);
-        components.for_each(|name| self.environment.registry.keep_connections(name));
+        components.for_each(|name| self.node.environment.registry.keep_connections(name));
         connections.iter().filter_map(|(from, to)| {
-            let why = Box::new(self.environment.registry.connect_ports(from, to).err()?);
+            let why = Box::new(self.node.environment.registry.connect_ports(from, to).err()?);
             Some(StartError::Connection { from: from.clone(), to: to.clone(), why })
         })
     }
@@ -474,14 +461,15 @@ impl NodeAssembly {
     async fn make_inspection(&mut self, path: Option<PathBuf>) -> Option<Addr<InspectionActor>> {
         let path = path?;
         released_here(&path, PREDECESSOR_TIMEOUT).await;
-        self.held.push(path.clone());
-        let (name, FaultChainParts { guardian, chain, state, .. }) =
-            (named("inspection"), &self.parts);
-        let inspection =
-            InspectionActor::new(path, state.clone(), self.environment.reports.clone());
-        let arbiter = chain.arbiter.as_ref();
-        let inspection =
-            guardian.start(name.clone(), arbiter, |_: &mut Context<InspectionActor>| inspection);
+        self.node.held.push(path.clone());
+        let (name, chain) = (named("inspection"), &self.node.chain);
+        let reports = self.node.environment.reports.clone();
+        let inspection = InspectionActor::new(path, chain.state.clone(), reports);
+        let inspection = chain.guardian.start(
+            name.clone(),
+            chain.arbiter.as_ref(),
+            |_: &mut Context<InspectionActor>| inspection,
+        );
         self.enrolments.push(middleware(name, Some(inspection.clone().recipient())));
         Some(inspection)
     }
@@ -489,9 +477,9 @@ impl NodeAssembly {
     /// From here on everything is watched.
     async fn enrol_all(&mut self, tree: PreparedTree) -> Result<(), StartError> {
         let mut enrolments = std::mem::take(&mut self.enrolments);
-        let chain = self.parts.chain.pings.iter().cloned();
+        let chain = self.node.chain.pings().into_iter();
         enrolments.extend(chain.map(|(name, pings)| middleware(name, Some(pings))));
-        let registry = &self.environment.registry;
+        let registry = &self.node.environment.registry;
         // A component that has the name of such an object is what is found below.
         let service = |name| registry.kind_of(name).filter(|kind| *kind != "a component");
         let kind = |name| service(name).unwrap_or("an object of the middleware");
@@ -505,77 +493,45 @@ impl NodeAssembly {
         let known = others.iter().map(|(name, kind)| (name, *kind));
         check_names(known.chain(components)).map_err(SpecError::from)?;
         // Nor will those be called so that are added later.
-        self.environment.registry.reserve(others);
+        registry.reserve(others);
         for facts in &tree.components {
             let of = format!("what {} depends on", facts.name);
-            enrolments.push(enrolment(&self.node, facts).map_err(StartError::name_of(of))?);
+            enrolments.push(enrolment(&self.node.name, facts).map_err(StartError::name_of(of))?);
         }
-        self.parts.chain.enrol_all(enrolments).await
+        self.node.chain.enrol_all(enrolments).await
     }
 
     /// Looks at arbiters and components from now on, also while they are stuck.
     fn start_sampler(&self, grace: Duration) -> Result<(), StartError> {
         let config = HangDetectorConfig { grace, ..HangDetectorConfig::default() };
-        let list = self.environment.watch_list.clone();
-        let (threads, sighted) =
-            (self.environment.arbiters.clone(), self.parts.chain.monitor.clone().recipient());
-        self.parts.chain.start_sampler(Some(match self.placement {
-            ActorPlacement::Here => sampler::start_task(list, threads, config, sighted),
-            ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => {
-                sampler::start_thread(list, threads, config, sighted)?
-            }
-        }));
-        let rest = self.parts.controller.clone().recipient();
-        rest_when_threads_run_out(&self.environment.arbiters, &self.node, rest);
+        let Shared { name, environment, chain, .. } = &self.node;
+        let list = environment.watch_list.clone();
+        let (threads, sighted) = (environment.arbiters.clone(), chain.monitor.clone().recipient());
+        let on_thread = self.placement != ActorPlacement::Here;
+        chain.keep_sampler(sampler::start(list, threads, config, sighted, on_thread)?);
+        let rest = chain.controller.clone().recipient();
+        rest_when_threads_run_out(&environment.arbiters, name, rest);
         Ok(())
     }
 
     /// Watches the chain from outside, and lets the watchdogs of the process depend on it.
-    fn watch_chain(&self, wanted: ProcessWatchdogs) -> Result<Option<Systemd>, StartError> {
+    fn watch_chain(&mut self, wanted: ProcessWatchdogs) -> Result<(), StartError> {
         let (manager, watchdogs) = wanted.open().map_err(StartError::ProcessWatchdog)?;
         if self.placement != ActorPlacement::Here {
-            self.parts.watch_chain(&self.node, watchdogs, self.environment.clone())?;
+            let Shared { name, chain, environment, .. } = &self.node;
+            chain.watch_chain(name, watchdogs, environment.clone())?;
         }
-        Ok(manager)
+        self.node.systemd = manager;
+        Ok(())
     }
 
-    /// The node, which ends its threads itself from here on.
-    fn into_node(
-        mut self,
-        root: Recipient<ReadTree>,
-        dependencies: Dependencies,
-        systemd: Option<Systemd>,
-    ) -> Node {
-        self.undone.kept = true;
-        let FaultChainParts { guardian, chain, controller, state, directory, .. } = self.parts;
-        self.environment.declare_complaints();
-        let shared = Shared {
-            name: self.node,
-            incarnation: self.incarnation,
-            environment: self.environment,
-            chain,
-            #[cfg(feature = "network")]
-            networks: self.networks,
-            root,
-            guardian,
-            shutdown: controller.clone().recipient(),
-            restart: controller.clone().recipient(),
-            directory,
-            state,
-            dependencies: Mutex::new(dependencies),
-            plan: self.plan,
-            systemd,
-            policies: self.policies,
-            begun: AtomicBool::new(false),
-            safe: Mutex::default(),
-            last_record: OnceLock::new(),
-            held: self.held,
-        };
-        let node = Node(Arc::new(shared));
+    fn into_node(self) -> Node {
+        self.node.environment.declare_complaints();
+        let node = Node(Arc::new(self.node));
         node.0.policies.iter().for_each(|policy| policy.attach(&node));
         #[cfg(feature = "network")]
         {
-            node.serve_operators();
+            order::serve_operators(&node);
             node.stop_if_displaced();
         }
         node
@@ -585,11 +541,11 @@ impl NodeAssembly {
 /// Nothing refuses the start any more.
 async fn start_root(
     node: Node,
-    controller: &Addr<NodeController>,
     root: SupervisorChild,
     end: impl Future<Output = EndCause>,
 ) -> Result<Node, StartError> {
-    node.0.begun.store(true, SeqCst);
+    node.0.outputs.begun.store(true, SeqCst);
+    let controller = &node.0.chain.controller;
     let started = async { controller.send(StartRoot(Box::new(root))).await };
     let started = tokio::select! {
         biased;
@@ -634,22 +590,6 @@ pub(crate) fn with_features(
         extensions.with(Roster::new(directory.clone())).with(directory)
     };
     ComponentEnvironment { extensions, ..environment }
-}
-
-/// What every component of the node is given.
-fn environment(
-    parts: &FaultChainParts,
-    node: &NodeName,
-    plan: &Plan,
-    arbiters: ArbiterPool,
-) -> ComponentEnvironment {
-    let reports = reports(&parts.chain.monitor);
-    let (registry, actuators) = (parts.registry.clone(), parts.actuators.clone());
-    // Its own objects may be named in full, with or without a network.
-    registry.set_node(node.clone());
-    let fault_codes = Arc::new(plan.codes());
-    let general = with_features(ComponentEnvironment::new(arbiters, reports), actuators);
-    ComponentEnvironment { registry, fault_codes, ..general }
 }
 
 fn enrolment(node: &NodeName, facts: &ComponentFacts) -> Result<Register, NameError> {
@@ -699,27 +639,4 @@ fn rest_when_threads_run_out(
         let fault = Fault::of_node(node.clone(), FaultKind::Hang, reason.clone(), platform::now());
         rest.do_send(EnterSafeState { fault, reason });
     }));
-}
-
-/// Ends the threads and transports of a node that does not come to be.
-struct StopOnFailure {
-    arbiters: ArbiterPool,
-    own: Vec<ArbiterHandle>,
-    #[cfg(feature = "network")]
-    transports: Vec<Recipient<Close>>,
-    kept: bool,
-}
-
-impl Drop for StopOnFailure {
-    fn drop(&mut self) {
-        if !self.kept {
-            // The arbiter of a node that lives on one thread goes on.
-            #[cfg(feature = "network")]
-            self.transports.iter().for_each(|transport| transport.do_send(Close));
-            self.arbiters.stop();
-            for arbiter in &self.own {
-                arbiter.stop();
-            }
-        }
-    }
 }

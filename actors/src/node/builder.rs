@@ -209,6 +209,17 @@ impl NodeBuilder {
         self
     }
 
+    /// Connects the out port of a component to the port of another one: `laser#scan` to
+    /// `planner#scan`. It is connected before the components start.
+    ///
+    /// One end may be on another node: `base:laser#scan`. The connection is given to one node: for
+    /// events to that of the listener, for commands and requests to that of the component that
+    /// sends them.
+    pub fn connect(mut self, from: &str, to: &str) -> Self {
+        self.connections.push((from.to_owned(), to.to_owned()));
+        self
+    }
+
     /// Sets the recovery plan. The default plan covers every built-in kind of fault.
     pub fn plan(mut self, plan: Plan) -> Self {
         self.plan = plan;

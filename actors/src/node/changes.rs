@@ -1,4 +1,4 @@
-//! Changes of the supervision tree while the node runs.
+//! Changes of the supervision tree while the node runs, and restarts.
 //!
 //! ```text
 //!  add ──► prepare ──► dependencies, monitor ──► AddChild ──► at work
@@ -10,27 +10,58 @@
 //! An object is entered in the dependencies before its supervisor has it, and is taken out before
 //! that stops it: so nothing begins to depend on what is about to end.
 
-use super::Node;
+use super::controller::{RestartError, RestartRoot};
 use super::to_the_end::ToTheEnd;
 use super::tree::{PreparedTree, Subtree, TreeEnvironment};
+use super::{Node, Shared};
+use crate::arbiter::pool::CULPRITS_LIMIT;
 use crate::component::Component;
 use crate::component::spec_error::{SpecError, did_you_mean};
 use crate::fault_chain::directory::SupervisorRecipients;
 use crate::host::reference::ActorRef;
 use crate::host::spec::ChildSpec;
-use crate::platform;
+use crate::platform::{self, lock};
 use actix::Recipient;
 use blastema_contract::reports::AreYouAlive;
-use blastema_contract::supervisor::{AddChild, ChildAction, ChildRequest, GaveUp};
-use blastema_core::ObjectName;
-use blastema_core::detection::dependencies::DependencyError;
-use blastema_core::recovery::GiveUpReason;
+use blastema_contract::supervisor::{
+    AddChild, ChildAction, ChildRequest, GaveUp, ReadTree, Recovered,
+};
+use blastema_core::detection::dependencies::{Dependencies, DependencyError};
+use blastema_core::recovery::{GiveUpReason, Plan};
+use blastema_core::{Incarnation, ObjectName};
 use std::future::Future;
+use std::sync::Mutex;
 use std::time::Duration;
 use tokio::sync::oneshot;
 
 /// Between two attempts at a supervisor that was restarted, or is full of requests.
 const RETRY_INTERVAL: Duration = Duration::from_millis(10);
+
+/// The state of a component after [`Node::restart_child`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum RestartedChild {
+    /// The component is active in this incarnation.
+    Running(Incarnation),
+    /// This incarnation has begun, and waits for something that is not there yet, such as its
+    /// device, or a component below waits for that. It tries again by itself, and the fault
+    /// *unavailable* stands until then.
+    Unavailable(Incarnation),
+    /// The child is not restarted: it is temporary, or transient and ended in order.
+    Finished,
+}
+
+impl RestartedChild {
+    /// Returns the incarnation that has started, if one has.
+    pub fn incarnation(self) -> Option<Incarnation> {
+        match self {
+            RestartedChild::Running(incarnation) | RestartedChild::Unavailable(incarnation) => {
+                Some(incarnation)
+            }
+            RestartedChild::Finished => None,
+        }
+    }
+}
 
 /// Why a component or supervisor is not removed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -39,7 +70,7 @@ pub enum RemoveError {
     /// No supervisor of this node keeps an object of this name.
     #[error("no supervisor of this node keeps {name}{}", did_you_mean(nearest.as_ref()))]
     Unknown {
-        /// The name.
+        /// The name that was given.
         name: String,
         /// The child whose name is spelt most like it.
         nearest: Option<ObjectName>,
@@ -128,15 +159,15 @@ impl Node {
     /// [`RemoveError::Unknown`] where no supervisor keeps it, as the root itself;
     /// [`RemoveError::Needed`] where another object [depends](ChildSpec::depends_on) on any of it.
     pub async fn remove_child(&self, name: &str) -> Result<(), RemoveError> {
-        let nearest = || self.0.directory.nearest(name);
+        let nearest = || self.0.chain.directory.nearest(name);
         let unknown = || RemoveError::Unknown { name: name.to_owned(), nearest: nearest() };
         let object = ObjectName::new(name).map_err(|_| unknown())?;
-        let supervisor = self.0.directory.supervisor_of(&object).ok_or_else(unknown)?;
+        let supervisor = self.0.chain.directory.supervisor_of(&object).ok_or_else(unknown)?;
         let names = {
-            let mut dependencies = self.0.dependencies();
+            let mut dependencies = lock(&self.0.tree.dependencies);
             // Else another call removes it already.
             dependencies.has(&object).then_some(()).ok_or_else(unknown)?;
-            let names = self.0.directory.subtree(&object);
+            let names = self.0.chain.directory.subtree(&object);
             dependencies.remove(&names)?;
             names
         };
@@ -146,13 +177,70 @@ impl Node {
             .unwrap_or(Err(RemoveError::ShutDown))
     }
 
+    /// Restarts a node from the safe state within its process: all components start their next
+    /// incarnations in the start order, also those that were in the safe state or isolated before.
+    /// Resolves when all are active. The cause of the safe state must have been removed: this is
+    /// for a person, or an application that knows better.
+    ///
+    /// Who still has to be stopped is waited for. Threads that were given up stay so, and are
+    /// counted on.
+    ///
+    /// # Errors
+    /// [`RestartError::NotInSafeState`] unless the node is in the safe state;
+    /// [`RestartError::ThreadsHang`] where that would not help; [`RestartError::GaveUp`] where it
+    /// entered the safe state again, when all components have ended.
+    pub async fn restart(&self) -> Result<(), RestartError> {
+        let lost = self.0.environment.arbiters.lost();
+        if lost.len() >= CULPRITS_LIMIT {
+            return Err(RestartError::ThreadsHang { count: lost.values().sum() });
+        }
+        // The controller ends with the node's threads.
+        self.0.chain.controller.send(RestartRoot).await.unwrap_or(Err(RestartError::ShutDown))
+    }
+
+    /// Starts the next incarnation of a component, or of a supervisor and all below it. This ends
+    /// its safe state or isolation; an active component is stopped in order first. Its siblings are
+    /// restarted as their supervisor's strategy requires. Resolves when all of them are at work, or
+    /// wait for what is not there yet, and says which of it is so. No budget of restarts counts it.
+    ///
+    /// A handler of a component that this restarts must not await it, as it would be waited for
+    /// itself: it counts as hanging after [`max_wait`](crate::ChildSpec::max_wait). A component
+    /// restarts itself by [`cx.stop()`](crate::Context::stop).
+    ///
+    /// # Errors
+    /// [`RestartError::Unknown`] where no supervisor keeps it; [`RestartError::SupervisorRests`] in
+    /// a node in the safe state; [`RestartError::ChildGaveUp`] where it did not come back.
+    pub async fn restart_child(&self, name: &str) -> Result<RestartedChild, RestartError> {
+        let unknown = || RestartError::Unknown {
+            name: name.to_owned(),
+            nearest: self.0.chain.directory.nearest(name),
+        };
+        let object = ObjectName::new(name).map_err(|_| unknown())?;
+        let controller = self.0.chain.directory.supervisor_of(&object).ok_or_else(unknown)?;
+        let restart = ChildRequest { object, action: ChildAction::Restart(None) };
+        match controller.requests.send(restart).await {
+            Ok(Ok(Recovered { incarnation, waits, .. })) => Ok(match (incarnation, waits) {
+                (Some(incarnation), false) => RestartedChild::Running(incarnation),
+                (Some(incarnation), true) => RestartedChild::Unavailable(incarnation),
+                (None, _) => RestartedChild::Finished,
+            }),
+            Ok(Err(GaveUp { object: name, why: GiveUpReason::NotAtWork })) => {
+                Err(RestartError::SupervisorRests { name })
+            }
+            Ok(Err(GaveUp { object: name, why: reason })) => {
+                Err(RestartError::ChildGaveUp { name, reason })
+            }
+            Err(_) => Err(RestartError::ShutDown),
+        }
+    }
+
     async fn carry_out_removal(
         &self,
         object: ObjectName,
         supervisor: &SupervisorRecipients,
         names: Vec<ObjectName>,
     ) -> Result<(), RemoveError> {
-        let below = names.iter().filter_map(|name| self.0.directory.supervisor(name));
+        let below = names.iter().filter_map(|name| self.0.chain.directory.supervisor(name));
         let below: Vec<_> = below.map(|supervisor| supervisor.pings.clone()).collect();
         let remove = ChildRequest { object, action: ChildAction::Remove };
         loop {
@@ -178,7 +266,7 @@ impl Node {
         whole: bool,
     ) -> Result<ObjectName, SpecError> {
         let name = parent.unwrap_or("root");
-        let directory = &self.0.directory;
+        let directory = &self.0.chain.directory;
         let no_supervisor = || {
             let nearest = directory.nearest_supervisor(name);
             SpecError::NoSupervisor { name: name.to_owned(), nearest }
@@ -186,7 +274,7 @@ impl Node {
         let parent = ObjectName::new(name).map_err(|_| no_supervisor())?;
         let supervisor = directory.supervisor(&parent).ok_or_else(no_supervisor)?;
         let mut tree = PreparedTree::default();
-        let prepared = subtree.prepare(&self.tree_environment(), &mut tree);
+        let prepared = subtree.prepare(&self.0.tree_environment(true), &mut tree);
         let entered = match tree.refused.is_empty() {
             true => self.enter(&parent, &tree).and_then(|is_there| match is_there {
                 true => Ok(()),
@@ -220,7 +308,7 @@ impl Node {
         self.0.chain.enrol(&self.0.name, &tree).await;
         let added = supervisor.add.send(addition).await;
         // The parent may have been removed meanwhile, and this with it.
-        let stays = self.0.dependencies().has(&parent);
+        let stays = lock(&self.0.tree.dependencies).has(&parent);
         let why = match added {
             Ok(Ok(_)) if stays => return Ok(name),
             Ok(Ok(_)) | Err(_) => None,
@@ -235,28 +323,16 @@ impl Node {
         // At once: what is gone has no fault that could be recovered.
         names.iter().for_each(|name| self.0.chain.dismiss(name.clone()));
         await_ends(tree.supervisors.into_iter().rev().map(|(_, pings)| pings)).await;
-        self.0.dependencies().forget(&names);
+        lock(&self.0.tree.dependencies).forget(&names);
         Err(match why {
             Some(GiveUpReason::StartFailed { reason }) => SpecError::NotStarted { name, reason },
             _ => SpecError::Refused { name },
         })
     }
 
-    fn tree_environment(&self) -> TreeEnvironment<'_> {
-        TreeEnvironment {
-            environment: &self.0.environment,
-            guardian: &self.0.guardian,
-            arbiter: self.0.chain.arbiter.as_ref(),
-            monitor: self.0.chain.monitor.clone(),
-            directory: self.0.directory.clone(),
-            plan: &self.0.plan,
-            whole_start: true,
-        }
-    }
-
     /// Enters the dependencies of what is to be added, if its parent is there.
     fn enter(&self, parent: &ObjectName, tree: &PreparedTree) -> Result<bool, SpecError> {
-        let mut dependencies = self.0.dependencies();
+        let mut dependencies = lock(&self.0.tree.dependencies);
         if !dependencies.has(parent) {
             return Ok(false);
         }
@@ -276,6 +352,30 @@ impl Node {
         let work = async move { drop(answer.send(work.await)) };
         ToTheEnd::of(self.0.chain.arbiter.clone(), work).await;
         outcome.await.ok()
+    }
+}
+
+/// The supervision tree of a node.
+pub(super) struct KeptTree {
+    /// Where it is read, once it is prepared.
+    pub(super) root: Option<Recipient<ReadTree>>,
+    /// Who needs whom.
+    pub(super) dependencies: Mutex<Dependencies>,
+    pub(super) plan: Plan,
+}
+
+impl Shared {
+    /// What the preparation of a subtree needs.
+    pub(super) fn tree_environment(&self, whole_start: bool) -> TreeEnvironment<'_> {
+        TreeEnvironment {
+            environment: &self.environment,
+            guardian: &self.chain.guardian,
+            arbiter: self.chain.arbiter.as_ref(),
+            monitor: self.chain.monitor.clone(),
+            directory: self.chain.directory.clone(),
+            plan: &self.tree.plan,
+            whole_start,
+        }
     }
 }
 

@@ -2,13 +2,7 @@
 
 use super::{Node, NodeState, Shared};
 use crate::component::Component;
-use crate::component::spec_error::SpecError;
-use crate::condition::heartbeat;
-use crate::condition::{Condition, ConditionError, ConditionStatus, Connected, Heartbeat};
 use crate::host::spec::ChildSpec;
-use crate::platform;
-use blastema_core::DeliveryError;
-use blastema_core::connection::ConditionState;
 use std::sync::{Arc, OnceLock, Weak};
 use std::time::Duration;
 use tokio::sync::watch;
@@ -23,61 +17,11 @@ pub(super) type NodeSlot = Arc<OnceLock<Weak<Shared>>>;
 /// Publishes heartbeats for as long as it exists. From [`Node::heartbeat`].
 #[derive(Debug)]
 #[must_use = "the heartbeats end when this is dropped"]
-pub struct Heartbeats(actix_rt::task::JoinHandle<()>);
+pub struct Heartbeats(pub(super) actix_rt::task::JoinHandle<()>);
 
 impl Drop for Heartbeats {
     fn drop(&mut self) {
         self.0.abort();
-    }
-}
-
-impl Node {
-    /// Returns the condition of this name, which needs this; declares it if it is new. It is looked
-    /// at until the node ends. Its changes are faults of `conditions/NAME`:
-    /// [`ConnectionLost`](crate::FaultKind::ConnectionLost), and
-    /// [`CheckFailed`](crate::FaultKind::CheckFailed) while it is degraded.
-    ///
-    /// # Errors
-    /// [`ConditionError`] says what to write instead.
-    pub fn condition(&self, name: &str, needs: Connected) -> Result<Condition, ConditionError> {
-        self.0.environment.conditions().declare(name, &needs, platform::now(), None)
-    }
-
-    /// Publishes a [`Heartbeat`] on this topic every `interval`, 10 ms to an hour, for as long as
-    /// this thread turns and what is returned exists. A component does so by
-    /// [`Context::heartbeat`](crate::Context::heartbeat), as long as it lives itself.
-    ///
-    /// # Errors
-    /// As [`publisher`](Self::publisher), and [`DeliveryError::CheckFailed`] for an interval out of
-    /// range.
-    #[track_caller]
-    pub fn heartbeat(&self, topic: &str, interval: Duration) -> Result<Heartbeats, DeliveryError> {
-        let publisher = self.publisher::<Heartbeat>(topic)?;
-        Ok(Heartbeats(actix_rt::spawn(heartbeat::publish(publisher, interval)?)))
-    }
-
-    /// Runs a component under the root supervisor only while the condition is
-    /// [acceptable](Condition::is_acceptable): it is [added](Self::add_child) whenever the condition
-    /// becomes so, and [removed](Self::remove_child) in order when it is no longer. Returns once it
-    /// runs for the first time, or cannot be added at all; await it in a task of its own where the
-    /// condition may take long. Connections of its ports are made again whenever it is added.
-    ///
-    /// # Errors
-    /// As [`add_child`](Self::add_child), for the first time. A later one is logged, and it is
-    /// tried again every second while the condition holds.
-    pub async fn add_child_while<C: Component>(
-        &self,
-        condition: &Condition,
-        spec: impl Fn() -> ChildSpec<C> + 'static,
-    ) -> Result<(), SpecError> {
-        condition.acceptable().await;
-        let name = self.add_child(spec()).await?.name().to_string();
-        self.0.environment.registry.keep_connections(&name);
-        let (node, status) =
-            (Arc::new(OnceLock::from(Arc::downgrade(&self.0))), condition.status.clone());
-        let holds = |status: &ConditionStatus| status.state == ConditionState::Connected;
-        actix_rt::spawn(keep_while(node, status, holds, (Some(name), spec)));
-        Ok(())
     }
 }
 

@@ -7,17 +7,19 @@
 //! ```
 
 use crate::actuator::ActuatorTable;
+use crate::component::spec_error::did_you_mean;
 use crate::fault_chain::strategy::SafeOutputs;
 use crate::platform;
 use crate::runtime::guardian::answers_the_monitor;
 use crate::runtime::pending_answer::PendingAnswer;
 use actix::prelude::*;
-use blastema_contract::child::{Child, ChildEvent, ChildReport};
+use blastema_contract::child::{Child, ChildEvent, ChildOrder, ChildReport};
 use blastema_contract::monitor::NodeReported;
 use blastema_contract::recoverer::SafeStateChanged;
 use blastema_contract::strategy::EnterSafeState;
 use blastema_core::detection::NodeCondition;
-use blastema_core::{Fault, FaultKind, Incarnation, NodeName};
+use blastema_core::recovery::GiveUpReason;
+use blastema_core::{Fault, FaultKind, Incarnation, NodeName, ObjectName};
 use serde::Serialize;
 use tokio::sync::{oneshot, watch};
 use tracing::info;
@@ -34,7 +36,7 @@ pub enum NodeState {
     /// outputs were applied and everything was stopped. [`Node::restart`](crate::Node::restart)
     /// brings it back.
     InSafeState {
-        /// Why.
+        /// What could not be contained, or which limit was exceeded.
         reason: String,
     },
     /// It was told to stop, and has, from work or from rest.
@@ -49,18 +51,60 @@ pub(super) struct StartRoot(pub(super) Box<dyn Child>);
 
 /// From the node: start the root once more, from safe state. Answered likewise.
 #[derive(Message)]
-#[rtype(result = "Result<(), RestartRefused>")]
+#[rtype(result = "Result<(), RestartError>")]
 pub(super) struct RestartRoot;
 
-/// Why the root was not started once more.
-#[derive(Debug, PartialEq, Eq)]
-pub(super) enum RestartRefused {
-    /// The node is not in the safe state, but in this one.
-    NotInSafeState(NodeState),
-    /// It was told to stop for good, before that or while it waited for the last ones to end.
+/// Why nothing was brought back.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum RestartError {
+    /// Only a node in the safe state can be restarted. [`Node::restart_child`](crate::Node::restart_child) restarts a component
+    /// of a running node.
+    #[error("the node is not in the safe state, it is {state:?}: only from there it is restarted")]
+    NotInSafeState {
+        /// How it is.
+        state: NodeState,
+    },
+    /// The node was shut down, and its threads have ended. Build a new node.
+    #[error("the node was shut down: build another one")]
     ShutDown,
-    /// It came to rest again, for this reason.
-    GaveUp(String),
+    /// Four components or more keep threads in handlers that never return, which cannot be ended.
+    /// Restart the process.
+    #[error("{count} threads hang for good: only a new process helps")]
+    ThreadsHang {
+        /// How many threads hang.
+        count: usize,
+    },
+    /// The node entered the safe state again before all components were active. The record of
+    /// faults names the cause.
+    #[error("it entered the safe state again: {reason}")]
+    GaveUp {
+        /// What the last thing was.
+        reason: String,
+    },
+    /// No supervisor of this node keeps an object of this name.
+    #[error("no supervisor of this node keeps {name}{}", did_you_mean(nearest.as_ref()))]
+    Unknown {
+        /// The name that was given.
+        name: String,
+        /// The child whose name is spelt most like it.
+        nearest: Option<ObjectName>,
+    },
+    /// The supervisor of the component is not at work, as in a node in the safe state. Restart the
+    /// node, or the supervisor.
+    #[error("the supervisor of {name} is not at work: restart the node, or that supervisor")]
+    SupervisorRests {
+        /// The component that was to be restarted.
+        name: ObjectName,
+    },
+    /// The component's next incarnation did not come to be.
+    #[error("{name} did not come back: {reason}")]
+    ChildGaveUp {
+        /// The component that was to be restarted.
+        name: ObjectName,
+        /// Why there is no next incarnation.
+        reason: GiveUpReason,
+    },
 }
 
 /// From the node: stop everything in order. Answered when that is done.
@@ -90,7 +134,7 @@ pub(super) struct NodeControllerSetup {
 pub(super) struct NodeController {
     setup: NodeControllerSetup,
     root: Option<Box<dyn Child>>,
-    /// The root's.
+    /// The incarnation of the root supervisor.
     incarnation: Incarnation,
     phase: Phase,
     /// The node is in the safe state, and restarts as soon as all children have ended.
@@ -112,7 +156,7 @@ pub(super) struct NodeController {
 /// What the root's children do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
-    /// None lives.
+    /// No child runs.
     Down,
     /// They are started, or at work.
     Up,
@@ -167,7 +211,7 @@ impl NodeController {
             && let Some(root) = &mut self.root
         {
             self.phase = Phase::Ending;
-            root.stop();
+            root.order(ChildOrder::Stop { again: false });
         }
     }
 
@@ -304,14 +348,15 @@ impl Handler<StartRoot> for NodeController {
 }
 
 impl Handler<RestartRoot> for NodeController {
-    type Result = PendingAnswer<Result<(), RestartRefused>>;
+    type Result = PendingAnswer<Result<(), RestartError>>;
 
     fn handle(&mut self, _: RestartRoot, context: &mut Context<Self>) -> Self::Result {
         let refused = match self.state() {
             // It is in the safe state until its last components have ended; its threads end next.
-            _ if self.closed => Some(RestartRefused::ShutDown),
+            _ if self.closed => Some(RestartError::ShutDown),
+            NodeState::Stopped => Some(RestartError::ShutDown),
             NodeState::InSafeState { .. } => None,
-            state => Some(RestartRefused::NotInSafeState(state)),
+            state => Some(RestartError::NotInSafeState { state }),
         };
         if let Some(refused) = refused {
             return PendingAnswer::new(std::future::ready(Err(refused)));
@@ -324,8 +369,8 @@ impl Handler<RestartRoot> for NodeController {
             Phase::Down => self.begin_again(context),
         }
         PendingAnswer::new(async move {
-            let started = started.await.map_err(|_| RestartRefused::ShutDown)?;
-            started.map_err(RestartRefused::GaveUp)
+            let started = started.await.map_err(|_| RestartError::ShutDown)?;
+            started.map_err(|reason| RestartError::GaveUp { reason })
         })
     }
 }
@@ -404,7 +449,6 @@ impl Handler<Shutdown> for NodeController {
 mod tests {
     use super::*;
     use crate::fault_chain::tests::scripted::{Script, ScriptedReply};
-    use blastema_core::ObjectName;
     use blastema_doubles::{Probe, paused, settle};
 
     /// A controller whose root starts, ends or hangs as a script says.
@@ -461,7 +505,7 @@ mod tests {
             rig.says(ChildEvent::Stopped);
 
             closed.await.unwrap().unwrap();
-            assert_eq!(again.await.unwrap().unwrap(), Err(RestartRefused::ShutDown));
+            assert_eq!(again.await.unwrap().unwrap(), Err(RestartError::ShutDown));
             settle().await;
             assert_eq!(rig.script.done(), ["start root", "stop root"]);
             assert_eq!(*rig.state.borrow(), NodeState::Stopped);

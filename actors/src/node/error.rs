@@ -53,7 +53,7 @@ pub enum StartError {
     /// A policy for lost communication cannot work.
     #[error("the policy {policy:?} for lost communication: {reason}")]
     LostCommunication {
-        /// The policy.
+        /// The name of the policy.
         policy: String,
         /// The part that is wrong.
         part: PolicyPart,
@@ -64,7 +64,7 @@ pub enum StartError {
     #[cfg(feature = "network")]
     #[error("network {network}: {error}")]
     Endpoint {
-        /// The network.
+        /// The name of the network.
         network: String,
         /// The neighbour whose address is wrong; `None` where the endpoint is.
         neighbour: Option<NodeName>,
@@ -75,13 +75,13 @@ pub enum StartError {
     #[cfg(feature = "network")]
     #[error("network {network}: {setting} of the link to {neighbour} is {value}: {cure}")]
     Link {
-        /// The network.
+        /// The name of the network.
         network: String,
-        /// The neighbour.
+        /// The node at the other end of the link.
         neighbour: String,
-        /// The setting.
+        /// The name of the setting, such as `hello_every`.
         setting: &'static str,
-        /// Its value.
+        /// The value that was given.
         value: String,
         /// What to write instead.
         cure: &'static str,
@@ -114,16 +114,16 @@ pub enum StartError {
          command this robot"
     )]
     Insecure {
-        /// The network.
+        /// The name of the network.
         network: String,
-        /// Its medium.
+        /// The medium of the network and its address, as text.
         medium: String,
     },
     /// A service has a mistake in its nodes, or its component cannot be built.
     #[cfg(feature = "network")]
     #[error("service {name}: {reason}")]
     Service {
-        /// The service.
+        /// The name of the service.
         name: ObjectName,
         /// What is wrong, and what to write.
         reason: String,
@@ -131,9 +131,9 @@ pub enum StartError {
     /// A setting of the node makes no sense.
     #[error("{setting} of the node is {value}: {cure}")]
     Setting {
-        /// The setting.
+        /// The name of the setting, such as `grace`.
         setting: &'static str,
-        /// Its value.
+        /// The value that was given.
         value: String,
         /// What to write instead.
         cure: &'static str,
@@ -142,7 +142,7 @@ pub enum StartError {
     /// there at all.
     #[error("variables cannot be kept in {}: {reason}", file.display())]
     Variables {
-        /// The file.
+        /// The path of the file of variables.
         file: PathBuf,
         /// What stands in the way.
         reason: String,
@@ -152,7 +152,7 @@ pub enum StartError {
     #[cfg(feature = "journal")]
     #[error("the journal of faults {}: {reason}", file.display())]
     Journal {
-        /// The file.
+        /// The path of the journal.
         file: PathBuf,
         /// What stands in the way, and what to do.
         reason: String,
@@ -201,9 +201,9 @@ pub enum StartError {
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum PolicyPart {
-    /// The whole.
+    /// The policy as a whole.
     Whole,
-    /// The commander.
+    /// The node whose commanders are lost.
     Commander,
     /// How many channels must be connected.
     AtLeast,
@@ -216,7 +216,7 @@ pub enum PolicyPart {
     Rung(usize),
     /// A command of a rung.
     Command {
-        /// The rung.
+        /// The place of the rung in the ladder.
         rung: usize,
         /// Which of its commands.
         command: usize,

@@ -13,9 +13,9 @@ use std::time::Duration;
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[non_exhaustive]
 pub struct NodeHealth {
-    /// The node.
+    /// The name of the node.
     pub node: NodeName,
-    /// Its incarnation.
+    /// The incarnation of the node that runs now.
     pub incarnation: Incarnation,
     /// Its state: `"state": "running"`, and a `"reason"` in the safe state.
     #[serde(flatten)]

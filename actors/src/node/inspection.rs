@@ -31,7 +31,7 @@ const ROOT: u32 = 0;
 /// of ten thousand components has five megabytes, and lives as long as its client reads it.
 const CLIENTS_MAX: usize = 8;
 /// A client that reads a large snapshot has read it by then, also on a busy machine.
-const READ_TIMEOUT: Duration = Duration::from_secs(2);
+const READ_TIMEOUT: Duration = Duration::from_secs(1);
 /// How often the socket is checked, which takes microseconds.
 const SOCKET_CHECK_INTERVAL: Duration = Duration::from_millis(500);
 /// A client that orders sends its line at once; one that ends its side without a line is shown the

@@ -29,8 +29,6 @@ mod network;
 #[cfg(feature = "network")]
 mod network_rows;
 mod order;
-mod ports;
-mod restart;
 mod safety;
 pub(crate) mod snapshot;
 mod to_the_end;
@@ -38,9 +36,9 @@ mod tree;
 mod watchdogs;
 
 pub use builder::NodeBuilder;
-pub use changes::RemoveError;
+pub use changes::{RemoveError, RestartedChild};
 pub use conditions::Heartbeats;
-pub use controller::NodeState;
+pub use controller::{NodeState, RestartError};
 pub use error::{PolicyPart, StartError};
 pub use faults::FaultEvents;
 pub use health::{DegradedPart, FaultCounts, LastRecovery, NodeHealth};
@@ -54,54 +52,60 @@ pub use network::{
 #[cfg(feature = "network")]
 pub use network_rows::{LinkName, MediumRow, NetworkRow, RouteRow};
 pub use order::{ComponentOrder, OrderReply, OrderRow, OrderVerb};
-pub use restart::{RestartError, RestartedChild};
 #[cfg(feature = "network")]
 pub use snapshot::NetworkSnapshot;
 pub use snapshot::NodeSnapshot;
 pub use tree::{Subtree, SupervisorSpec};
 
-use crate::actuator;
-use crate::actuator::{ActuatorRow, Commander};
+use crate::actuator::{self, ActuatorRow, Commander};
 use crate::component::Component;
 use crate::component::environment::ComponentEnvironment;
-use crate::fault_chain::directory::SupervisorDirectory;
+use crate::component::spec_error::SpecError;
+use crate::condition::{
+    Condition, ConditionError, ConditionStatus, Connected, Heartbeat, heartbeat,
+};
 use crate::host::reference::ActorRef;
+use crate::host::spec::ChildSpec;
 use crate::liveness::sampler::Running;
 use crate::liveness::threads;
 use crate::liveness::threads::ThreadRow;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::messaging::injection::Injection;
 use crate::messaging::sender::Sender;
+use crate::platform;
 use crate::platform::file_lock::released_here;
 use crate::platform::systemd::Systemd;
-use crate::runtime::guardian::Guardian;
 use crate::topic::{Publisher, TopicRow};
 use crate::variable::{self, VariableRef};
-use actix::Recipient;
 use assembly::FaultChain;
 #[cfg(feature = "network")]
 use assembly::Networks;
 use blastema_contract::detector::ReadRecord;
 use blastema_contract::monitor::ReadTable;
 use blastema_contract::supervisor::{ReadTree, SupervisionTree};
-use blastema_core::detection::dependencies::Dependencies;
+use blastema_core::connection::ConditionState;
 use blastema_core::detection::{FaultRecord, MonitorRow};
+use blastema_core::port::{ConnectError, PortConnection};
 use blastema_core::{Contract, DeliveryError, Event, Incarnation, NodeName, ObjectName, Variable};
-use controller::{RestartRoot, Shutdown};
+use conditions::keep_while;
+use controller::Shutdown;
 use lost_communication::KeptPolicy;
+use safety::{EndCause, SignalWait};
 use std::any::type_name;
-use std::fmt;
+use std::future::{Future, pending};
 use std::path::PathBuf;
-use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::SeqCst;
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
+use std::{fmt, io};
 use to_the_end::ToTheEnd;
-use tokio::sync::watch;
-use tracing::warn;
+use tracing::{info, warn};
 
 /// How long the end of a node waits until another one may have its files and its socket.
 const RELEASE_TIMEOUT: Duration = Duration::from_secs(2);
+/// The exit status of a process whose node has stopped because another process has its name.
+#[cfg(feature = "network")]
+const NAME_TAKEN: i32 = 3;
 
 /// A running node. Clones refer to the same one; it runs until [`shutdown`](Node::shutdown), or
 /// until it enters the safe state, from where [`restart`](Node::restart) brings it back.
@@ -136,23 +140,11 @@ struct Shared {
     chain: FaultChain,
     #[cfg(feature = "network")]
     networks: Option<Networks>,
-    /// Where the tree is read.
-    root: Recipient<ReadTree>,
-    /// What supervisors need that are added while the node runs.
-    guardian: Guardian,
-    shutdown: Recipient<Shutdown>,
-    restart: Recipient<RestartRoot>,
-    directory: SupervisorDirectory,
-    state: watch::Receiver<NodeState>,
-    dependencies: Mutex<Dependencies>,
-    plan: Arc<blastema_core::recovery::Plan>,
+    tree: changes::KeptTree,
     systemd: Option<Systemd>,
     /// What it does when communication is lost.
     policies: Vec<Arc<KeptPolicy>>,
-    /// Components have begun, so that outputs may have to be made safe.
-    begun: AtomicBool,
-    /// The safe outputs were applied without the fault chain.
-    safe: Mutex<bool>,
+    outputs: safety::OutputState,
     /// What stood in the record of faults when the node was shut down.
     last_record: OnceLock<FaultRecord>,
     /// Files and sockets that no other node has while this one lives.
@@ -183,12 +175,12 @@ impl Node {
 
     /// How the node is now.
     pub fn state(&self) -> NodeState {
-        self.0.state.borrow().clone()
+        self.0.chain.state.borrow().clone()
     }
 
     /// Waits until the node has stopped or has entered the safe state, and returns that state.
     pub async fn ended(&self) -> NodeState {
-        let mut state = self.0.state.clone();
+        let mut state = self.0.chain.state.clone();
         let ended = |state: &NodeState| !matches!(state, NodeState::Starting | NodeState::Running);
         match state.wait_for(ended).await {
             Ok(state) => state.clone(),
@@ -284,6 +276,31 @@ impl Node {
         self.0.environment.topics().publisher_of(topic, self.0.name.as_str())
     }
 
+    /// Connects the out port of a component to the port of another one while the node runs. The
+    /// connection outlives the incarnations of both, and ends with the component that listens,
+    /// commands or asks.
+    ///
+    /// # Errors
+    /// There is no such component or port, the ports do not fit, or
+    /// [another node](ConnectError::Elsewhere) makes the connection. What a port of another node
+    /// takes is found when the first message goes there.
+    pub fn connect(&self, from: &str, to: &str) -> Result<(), ConnectError> {
+        self.0.environment.registry.connect_ports(from, to)
+    }
+
+    /// Disconnects two ports. What has been accepted is still delivered.
+    ///
+    /// # Errors
+    /// [`ConnectError::NotConnected`], or an address is wrong.
+    pub fn disconnect(&self, from: &str, to: &str) -> Result<(), ConnectError> {
+        self.0.environment.registry.disconnect_ports(from, to)
+    }
+
+    /// Returns the connections that this node makes. Its own name is left out of the addresses.
+    pub fn connections(&self) -> Vec<PortConnection> {
+        self.0.environment.registry.connections()
+    }
+
     /// Everything that is watched, each row with its age and incarnation. It can be read at any
     /// time, also while components are stuck.
     pub async fn table(&self) -> Vec<MonitorRow> {
@@ -306,12 +323,12 @@ impl Node {
 
     /// Every step in the history of every fault, from now on.
     pub fn fault_events(&self) -> FaultEvents {
-        FaultEvents::subscribe(&self.0.chain.monitor, self.0.state.clone())
+        FaultEvents::subscribe(&self.0.chain.monitor, self.0.chain.state.clone())
     }
 
     /// The supervision tree as it stands now; `None` once the node has ended.
     pub async fn tree(&self) -> Option<SupervisionTree> {
-        self.0.chain.answer(self.0.root.send(ReadTree)).await
+        self.0.chain.answer(self.0.tree.root.as_ref()?.send(ReadTree)).await
     }
 
     /// Puts a fault into the component of this name, which need not know of it: for demonstrations
@@ -383,6 +400,102 @@ impl Node {
         threads::rows(&self.0.environment.arbiters, &self.0.environment.watch_list)
     }
 
+    /// Returns the condition of this name, which needs this; declares it if it is new. It is looked
+    /// at until the node ends. Its changes are faults of `conditions/NAME`:
+    /// [`ConnectionLost`](crate::FaultKind::ConnectionLost), and
+    /// [`CheckFailed`](crate::FaultKind::CheckFailed) while it is degraded.
+    ///
+    /// # Errors
+    /// [`ConditionError`] says what to write instead.
+    pub fn condition(&self, name: &str, needs: Connected) -> Result<Condition, ConditionError> {
+        self.0.environment.conditions().declare(name, &needs, platform::now(), None)
+    }
+
+    /// Publishes a [`Heartbeat`] on this topic every `interval`, 10 ms to an hour, for as long as
+    /// this thread turns and what is returned exists. A component does so by
+    /// [`Context::heartbeat`](crate::Context::heartbeat), as long as it lives itself.
+    ///
+    /// # Errors
+    /// As [`publisher`](Self::publisher), and [`DeliveryError::CheckFailed`] for an interval out of
+    /// range.
+    #[track_caller]
+    pub fn heartbeat(&self, topic: &str, interval: Duration) -> Result<Heartbeats, DeliveryError> {
+        let publisher = self.publisher::<Heartbeat>(topic)?;
+        Ok(Heartbeats(actix_rt::spawn(heartbeat::publish(publisher, interval)?)))
+    }
+
+    /// Runs a component under the root supervisor only while the condition is
+    /// [acceptable](Condition::is_acceptable): it is [added](Self::add_child) whenever the condition
+    /// becomes so, and [removed](Self::remove_child) in order when it is no longer. Returns once it
+    /// runs for the first time, or cannot be added at all; await it in a task of its own where the
+    /// condition may take long. Connections of its ports are made again whenever it is added.
+    ///
+    /// # Errors
+    /// As [`add_child`](Self::add_child), for the first time. A later one is logged, and it is
+    /// tried again every second while the condition holds.
+    pub async fn add_child_while<C: Component>(
+        &self,
+        condition: &Condition,
+        spec: impl Fn() -> ChildSpec<C> + 'static,
+    ) -> Result<(), SpecError> {
+        condition.acceptable().await;
+        let name = self.add_child(spec()).await?.name().to_string();
+        self.0.environment.registry.keep_connections(&name);
+        let (node, status) =
+            (Arc::new(OnceLock::from(Arc::downgrade(&self.0))), condition.status.clone());
+        let holds = |status: &ConditionStatus| status.state == ConditionState::Connected;
+        actix_rt::spawn(keep_while(node, status, holds, (Some(name), spec)));
+        Ok(())
+    }
+
+    /// Returns the policies for lost communication, with the rungs that are carried out.
+    pub fn lost_communication(&self) -> Vec<LostCommunicationRow> {
+        self.0.policies.iter().map(|policy| policy.row()).collect()
+    }
+
+    /// Lets others command again after communication was lost and is back, for a person who has
+    /// looked at the robot.
+    ///
+    /// # Errors
+    /// [`AcknowledgeError`] where there is no such policy, and while communication is lost.
+    pub async fn acknowledge(&self, policy: &str) -> Result<(), AcknowledgeError> {
+        let name = policy.to_owned();
+        let Some(policy) = self.0.policies.iter().find(|known| known.name == name) else {
+            let known: Vec<_> = self.0.policies.iter().map(|known| &*known.name).collect();
+            let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+            return Err(AcknowledgeError::Unknown { name, known });
+        };
+        if !policy.lock().handle_acknowledged() {
+            return Err(AcknowledgeError::NotBack { name });
+        }
+        self.0.environment.conditions().look_soon();
+        Ok(())
+    }
+
+    /// Carries out the order of a person, and answers within four seconds. What takes longer goes
+    /// on.
+    ///
+    /// ```
+    /// use blastema::prelude::*;
+    /// use blastema::{ComponentOrder, OrderVerb};
+    ///
+    /// struct Lamp;
+    /// impl Component for Lamp {}
+    ///
+    /// blastema::run(async {
+    ///     let node = Node::builder("module1").child(ChildSpec::new("lamp", || Lamp)).start().await?;
+    ///     let order = ComponentOrder { verb: OrderVerb::Deactivate, name: Some("lamp".to_owned()) };
+    ///     let reply = node.order(&order).await;
+    ///     assert_eq!((reply.refused, &*reply.rows[0].state), (None, "initialized"));
+    ///     node.shutdown().await;
+    ///     Ok::<(), StartError>(())
+    /// })?;
+    /// # Ok::<(), StartError>(())
+    /// ```
+    pub async fn order(&self, order: &ComponentOrder) -> OrderReply {
+        order.carry_out(self).await
+    }
+
     /// Stops all components in the reverse of their start order, and then the rest of the node.
     /// Messages accepted for other nodes until the last component has ended are delivered. Then the
     /// node reports to its peers that it leaves, and senders return [`DeliveryError::Stopped`] at
@@ -395,6 +508,78 @@ impl Node {
     /// `actix_rt::spawn`.
     pub async fn shutdown(&self) {
         self.shut_down_because("the program shut it down").await;
+    }
+
+    /// Waits for SIGTERM, SIGINT (Ctrl-C) or SIGHUP (the terminal is closed), and
+    /// [shuts down](Node::shutdown) in order. A second signal during that applies the safe outputs
+    /// and ends the process at once. Where not every hook of a stop has run, because a component
+    /// hangs, the safe outputs are applied, and the process ends here with the status 128 + signal,
+    /// at the latest a second after the longest [`shutdown_within`](crate::ChildSpec::shutdown_within).
+    /// Where another process with this node's name is reached by a neighbour, and answers, this
+    /// node stops in order, and the process ends here with the status 3. Returns too when the node
+    /// was shut down otherwise and has left its peers; a node in the safe state waits on, so that a
+    /// person can look at it.
+    ///
+    /// ```no_run
+    /// use blastema::prelude::*;
+    /// # struct Lamp;
+    /// # impl Component for Lamp {}
+    ///
+    /// #[blastema::main]
+    /// async fn main() -> Result<(), Box<dyn std::error::Error>> {
+    ///     let node = Node::builder("module1").child(ChildSpec::new("lamp", ||
+    /// Lamp)).start().await?;
+    ///     node.run_until_signal().await?;
+    ///     Ok(())
+    /// }
+    /// ```
+    ///
+    /// # Errors
+    /// The operating system does not tell of signals.
+    pub async fn run_until_signal(&self) -> io::Result<()> {
+        let mut wait = SignalWait::begin()?;
+        self.run_to(wait.cause(pending())).await;
+        Ok(())
+    }
+
+    /// Shuts down for the first of these causes, unless the node has been shut down before.
+    async fn run_to(&self, cause: impl Future<Output = EndCause>) {
+        let mut state = self.0.chain.state.clone();
+        let cause = tokio::select! {
+            cause = cause => Some(cause),
+            // Also if the sender of the state was dropped.
+            _ = state.wait_for(|state| *state == NodeState::Stopped) => None,
+        };
+        match cause {
+            Some(cause) => self.end_for(cause).await,
+            // Its components have ended, and it may not have left its peers.
+            None => {
+                self.end_if_displaced().await;
+                self.shutdown().await;
+            }
+        }
+    }
+
+    /// Ends the process if its node has stopped for that reason.
+    async fn end_if_displaced(&self) {
+        #[cfg(feature = "network")]
+        if let Some(networks) = &self.0.networks
+            && let Some(why) = networks.handle.own_name().taken()
+        {
+            self.shut_down_because(&why).await;
+            platform::end_process(NAME_TAKEN);
+        }
+    }
+
+    /// Shuts down in order. Where that was not possible after a signal, the process ends.
+    async fn end_for(&self, cause: EndCause) {
+        info!(node = %self.0.name, %cause, "the node is shut down");
+        self.shut_down_because(&format!("{cause} shut it down")).await;
+        if let Some(status) = cause.exit_code()
+            && self.0.is_safe()
+        {
+            platform::end_process(status);
+        }
     }
 
     async fn shut_down_because(&self, cause: &str) {
@@ -415,7 +600,7 @@ impl Node {
         let before = cut_short();
         #[cfg(feature = "network")]
         self.0.networks.iter().for_each(|networks| networks.handle.expect_end());
-        let stopped = self.0.chain.answer(self.0.shutdown.send(Shutdown)).await;
+        let stopped = self.0.chain.answer(self.0.chain.controller.send(Shutdown)).await;
         if stopped.is_none() && self.state() != NodeState::Stopped {
             // The fault chain stands, and no component can be stopped.
             self.0.make_safe("the fault chain does not answer to the shutdown");
@@ -443,10 +628,6 @@ impl Node {
 }
 
 impl Shared {
-    fn dependencies(&self) -> MutexGuard<'_, Dependencies> {
-        self.dependencies.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Tells the service manager of the process this, if the node is described with one.
     fn tell_systemd(&self, state: &str) {
         if let Some(Err(reason)) = self.systemd.as_ref().map(|manager| manager.tell(state)) {
@@ -477,7 +658,7 @@ impl Shared {
     /// they may be those of the robot that runs already.
     fn end(&self, cause: &str) {
         self.chain.expect_end();
-        let begun = self.begun.load(SeqCst);
+        let begun = self.outputs.begun.load(SeqCst);
         if begun {
             self.become_safe(cause);
         }
@@ -487,8 +668,8 @@ impl Shared {
 
 impl Drop for Shared {
     fn drop(&mut self) {
-        let meanwhile = match &*self.state.borrow() {
-            NodeState::Starting => "it started",
+        let meanwhile = match &*self.chain.state.borrow() {
+            NodeState::Starting => return self.end("the node did not come to be"),
             NodeState::Running => "it ran",
             NodeState::InSafeState { .. } => "it was in the safe state",
             NodeState::Stopped => "it was shut down",

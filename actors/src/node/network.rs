@@ -2,20 +2,16 @@
 
 mod beacons;
 pub(in crate::node) mod checks;
-mod claims;
-mod connections;
 pub(in crate::node) mod description;
 mod exposure;
 pub(in crate::node) mod file;
 pub(in crate::node) mod hosts;
-mod isolation;
-mod operation;
-mod ready;
+mod node;
 pub(in crate::node) mod services;
 pub(in crate::node) mod signs;
 pub(crate) mod start;
 
-pub use self::ready::NotReady;
+pub use self::node::{IsolateError, NotReady};
 
 use crate::net::Interface;
 use crate::settings::network::{EXPECTED_WITHIN, HELLO_INTERVAL};
@@ -34,7 +30,6 @@ use std::time::Duration;
 pub use blastema_contract::transport::Direction;
 pub use blastema_core::medium::impairment::Impairment;
 pub use blastema_transports::MemoryMedium;
-pub use isolation::IsolateError;
 
 /// A network of a node: a medium, and the neighbours reached over it.
 ///
@@ -63,7 +58,7 @@ pub struct Network {
     /// What an end in memory is an end of.
     memory: MemoryMedium,
     faults: Option<u64>,
-    told: NetworkSettings,
+    settings: NetworkSettings,
 }
 
 /// A network as code or [a file](file) describes it.
@@ -149,7 +144,7 @@ impl fmt::Debug for Network {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Network")
             .field("name", &self.name)
-            .field("links", &self.told.links)
+            .field("links", &self.settings.links)
             .finish()
     }
 }
@@ -166,19 +161,19 @@ impl Network {
         Network::described(name, NetworkSettings { endpoint, ..NetworkSettings::default() })
     }
 
-    fn described(name: &str, mut told: NetworkSettings) -> Self {
-        let parsed = match NamedHost::find(&told.endpoint) {
+    fn described(name: &str, mut settings: NetworkSettings) -> Self {
+        let parsed = match NamedHost::find(&settings.endpoint) {
             Some(named) => named.parse((Ipv4Addr::UNSPECIFIED, 0).into()),
-            None => Endpoint::parse(&told.endpoint),
+            None => Endpoint::parse(&settings.endpoint),
         };
         let medium = match parsed {
             Ok((endpoint, insecure)) => {
-                told.insecure |= insecure;
+                settings.insecure |= insecure;
                 Medium::At(endpoint)
             }
             Err(error) => Medium::Unreadable(error),
         };
-        Network { told, ..Network::over(name, medium) }
+        Network { settings, ..Network::over(name, medium) }
     }
 
     /// A medium of the application's own.
@@ -214,7 +209,7 @@ impl Network {
 
     fn over(name: &str, medium: Medium) -> Self {
         let (name, memory) = (name.to_owned(), MemoryMedium::of_this_process());
-        Network { name, medium, memory, faults: None, told: NetworkSettings::default() }
+        Network { name, medium, memory, faults: None, settings: NetworkSettings::default() }
     }
 
     /// Accepts that every station on this network can read its traffic and command this robot: the
@@ -225,7 +220,7 @@ impl Network {
     /// The word changes nothing about a network that stays within this computer. A node that has
     /// keys refuses it. See the [manual](crate::manual::security).
     pub fn insecure(mut self) -> Self {
-        self.told.insecure = true;
+        self.settings.insecure = true;
         self
     }
 
@@ -237,7 +232,7 @@ impl Network {
 
     /// Adds a neighbour.
     pub fn link(mut self, link: Link) -> Self {
-        self.told.links.push(link);
+        self.settings.links.push(link);
         self
     }
 
@@ -245,14 +240,14 @@ impl Network {
     /// these names get a link. Without names, this node only sends beacons of its own.
     pub fn discover<'a>(mut self, nodes: impl IntoIterator<Item = &'a str>) -> Self {
         let nodes = nodes.into_iter().map(str::to_owned);
-        self.told.discover = Some(Admitted::Only(nodes.collect()));
+        self.settings.discover = Some(Admitted::Only(nodes.collect()));
         self
     }
 
     /// Discovers neighbours of any name by their beacons. On a sealed network these are the nodes
     /// of the roster.
     pub fn discover_anybody(mut self) -> Self {
-        self.told.discover = Some(Admitted::AnyNode(AnyNodeWord::Any));
+        self.settings.discover = Some(Admitted::AnyNode(AnyNodeWord::Any));
         self
     }
 
@@ -261,7 +256,7 @@ impl Network {
     /// then. The nodes to admit are set by [`discover`](Network::discover) or
     /// [`discover_anybody`](Network::discover_anybody). For UDP and TCP.
     pub fn beacons(mut self, group: &str) -> Self {
-        self.told.beacons = Some(group.to_owned());
+        self.settings.beacons = Some(group.to_owned());
         self
     }
 
@@ -269,7 +264,7 @@ impl Network {
     /// are declared down at once instead of after missing hellos. Not needed if the socket is bound
     /// to an address of one interface.
     pub fn interface(mut self, name: &str) -> Self {
-        self.told.interface = Some(name.to_owned());
+        self.settings.interface = Some(name.to_owned());
         self
     }
 
@@ -277,14 +272,14 @@ impl Network {
     /// conditions](crate::manual::conditions#timeouts). Otherwise it is wireless where the system
     /// says so of the network's interface, and else wired.
     pub fn medium(mut self, kind: MediumKind) -> Self {
-        self.told.medium = Some(kind);
+        self.settings.medium = Some(kind);
         self
     }
 
     /// A socket that is bound to one address uses the interface that has it.
     fn used_interface(&self) -> Option<Interface> {
         let (named, bind) = self.medium.socket().unzip();
-        let named = self.told.interface.as_deref().or(named.flatten());
+        let named = self.settings.interface.as_deref().or(named.flatten());
         let named = named.map(|name| Interface::Named(name.to_owned()));
         named.or_else(|| Interface::of(bind?.ip()))
     }
@@ -292,7 +287,7 @@ impl Network {
     /// What the medium is like, as the description or the system says.
     pub(in crate::node) fn medium_kind(&self) -> MediumKind {
         let is_wireless = || self.used_interface().is_some_and(|used| used.is_wireless());
-        self.told.medium.unwrap_or_else(|| match is_wireless() {
+        self.settings.medium.unwrap_or_else(|| match is_wireless() {
             true => MediumKind::Wireless,
             false => MediumKind::Wired,
         })
@@ -311,7 +306,7 @@ impl Network {
 #[must_use = "a link does nothing until it is given to a network"]
 pub struct Link {
     neighbour: String,
-    told: LinkSettings,
+    settings: LinkSettings,
 }
 
 /// A neighbour as code or [a file](file) describes it.
@@ -372,12 +367,12 @@ impl Link {
     }
 
     fn at(neighbour: &str, remote: Remote) -> Self {
-        Link { neighbour: neighbour.to_owned(), told: remote.into() }
+        Link { neighbour: neighbour.to_owned(), settings: remote.into() }
     }
 
     /// The hello interval, and how soon the first hello must arrive.
     fn times(&self) -> [Duration; 2] {
-        let LinkSettings { hello_every, expected_within, .. } = self.told;
+        let LinkSettings { hello_every, expected_within, .. } = self.settings;
         let hello_every = hello_every.unwrap_or(HELLO_INTERVAL.default);
         [hello_every, expected_within.unwrap_or(EXPECTED_WITHIN.default)]
     }
@@ -385,7 +380,7 @@ impl Link {
     /// Sets the link's name, unique within the node. By default it is the network's name if the
     /// link is the only one there, else both names, as in `ethernet/module2`.
     pub fn named(mut self, name: &str) -> Self {
-        self.told.name = Some(name.to_owned());
+        self.settings.name = Some(name.to_owned());
         self
     }
 
@@ -393,7 +388,7 @@ impl Link {
     /// more on a medium below one megabyte per second. While a link loses hellos, its cost is
     /// higher than set.
     pub fn cost(mut self, cost: u16) -> Self {
-        self.told.cost = Some(cost);
+        self.settings.cost = Some(cost);
         self
     }
 
@@ -401,7 +396,7 @@ impl Link {
     /// longer, so that hellos take at most a twentieth of its rate. The neighbour declares the link
     /// down after three and a half intervals without a hello.
     pub fn hello_every(mut self, interval: Duration) -> Self {
-        self.told.hello_every = Some(interval);
+        self.settings.hello_every = Some(interval);
         self
     }
 
@@ -410,7 +405,7 @@ impl Link {
     /// down* until a hello arrives. At least one hello interval; [`Duration::MAX`] for a neighbour
     /// that may be absent.
     pub fn expected_within(mut self, span: Duration) -> Self {
-        self.told.expected_within = Some(span);
+        self.settings.expected_within = Some(span);
         self
     }
 }

@@ -73,7 +73,7 @@ pub struct MediumRow {
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct RouteRow {
-    /// Whereto.
+    /// The node that the route leads to.
     pub node: NodeName,
     /// In which incarnation.
     pub incarnation: Incarnation,

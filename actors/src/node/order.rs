@@ -11,8 +11,6 @@ use crate::net::operator::operator;
 #[cfg(feature = "network")]
 use crate::registry::{ContractPort, service_fn::ServiceFn};
 use blastema_contract::supervisor::{ChildAction, ChildRequest};
-#[cfg(feature = "network")]
-use blastema_core::DeliveryError;
 use blastema_core::{FaultLocation, Lifecycle, ObjectName};
 use blastema_macros::{Request, Structure};
 #[cfg(feature = "network")]
@@ -26,7 +24,7 @@ use tracing::info;
 const ANSWER_WITHIN: Duration = Duration::from_secs(4);
 /// Under which name operators order.
 #[cfg(feature = "network")]
-const COMPONENTS: &str = "net/components";
+pub(super) const COMPONENTS: &str = "net/components";
 
 /// What a person orders.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Structure)]
@@ -81,7 +79,7 @@ impl OrderReply {
 #[contract(crate = "crate")]
 #[non_exhaustive]
 pub struct OrderRow {
-    /// Its name.
+    /// The name of the component, device or policy.
     pub name: String,
     /// The component's type, or `policy`.
     pub kind: String,
@@ -93,43 +91,26 @@ pub struct OrderRow {
     pub note: String,
 }
 
-impl Node {
-    /// Carries out the order of a person, and answers within four seconds. What takes longer goes
-    /// on.
-    ///
-    /// ```
-    /// use blastema::prelude::*;
-    /// use blastema::{ComponentOrder, OrderVerb};
-    ///
-    /// struct Lamp;
-    /// impl Component for Lamp {}
-    ///
-    /// blastema::run(async {
-    ///     let node = Node::builder("module1").child(ChildSpec::new("lamp", || Lamp)).start().await?;
-    ///     let order = ComponentOrder { verb: OrderVerb::Deactivate, name: Some("lamp".to_owned()) };
-    ///     let reply = node.order(&order).await;
-    ///     assert_eq!((reply.refused, &*reply.rows[0].state), (None, "initialized"));
-    ///     node.shutdown().await;
-    ///     Ok::<(), StartError>(())
-    /// })?;
-    /// # Ok::<(), StartError>(())
-    /// ```
-    pub async fn order(&self, order: &ComponentOrder) -> OrderReply {
-        let ComponentOrder { verb, name } = order;
+impl ComponentOrder {
+    /// Carries the order out, and answers within four seconds.
+    pub(super) async fn carry_out(&self, node: &Node) -> OrderReply {
+        let ComponentOrder { verb, name } = self;
         let name = name.as_deref();
         let done = async {
             match (verb, name) {
                 (OrderVerb::List, None) => Ok(()),
-                (OrderVerb::Acknowledge, name) => self.acknowledge_by_order(name).await,
+                (OrderVerb::Acknowledge, name) => acknowledge_by_order(node, name).await,
                 (_, None) => Err("name the component: `list` shows all".to_owned()),
-                (OrderVerb::List, Some(name)) => self.state_of(name).map(drop),
-                (OrderVerb::Activate, Some(name)) => self.set_active(name, Lifecycle::Active).await,
-                (OrderVerb::Deactivate, Some(name)) => {
-                    self.set_active(name, Lifecycle::Initialized).await
+                (OrderVerb::List, Some(name)) => state_of(node, name).map(drop),
+                (OrderVerb::Activate, Some(name)) => {
+                    set_active(node, name, Lifecycle::Active).await
                 }
-                (OrderVerb::Reset, Some(name)) => self.reset_by_order(name).await,
+                (OrderVerb::Deactivate, Some(name)) => {
+                    set_active(node, name, Lifecycle::Initialized).await
+                }
+                (OrderVerb::Reset, Some(name)) => reset_by_order(node, name).await,
                 (OrderVerb::Restart, Some(name)) => {
-                    self.restart_child(name).await.map(drop).map_err(|error| error.to_string())
+                    node.restart_child(name).await.map(drop).map_err(|error| error.to_string())
                 }
             }
         };
@@ -138,148 +119,132 @@ impl Node {
             Err(format!("it is not done within {within} s, and goes on: `list` shows its state"))
         };
         let done = tokio::time::timeout(ANSWER_WITHIN, done).await.unwrap_or_else(|_| late());
-        OrderReply { refused: done.err(), rows: self.order_rows(name).await }
+        OrderReply { refused: done.err(), rows: order_rows(node, name).await }
     }
+}
 
-    /// Lets operators give orders, where the node has keys.
-    #[cfg(feature = "network")]
-    pub(super) fn serve_operators(&self) {
-        let registry = &self.0.environment.registry;
-        let (access, own) = (registry.access(), self.0.name.clone());
-        if access.policy().is_none() {
-            return;
-        }
-        let node = Arc::downgrade(&self.0);
-        let serve = ServiceFn::<ComponentOrder>(Arc::new(move |order, from, answer| {
-            let Some(node) = node.upgrade().map(Node) else { return };
-            let by = operator(&access, from).unwrap_or_else(|| own.clone());
-            let ComponentOrder { verb, name } = &order;
-            if *verb != OrderVerb::List {
-                info!(target: "blastema::audit", operator = %by, ?name, "it orders: {verb:?}");
-            }
-            actix_rt::spawn(async move { answer.give(node.order(&order).await) });
-        }));
-        let object = ObjectName::new(COMPONENTS).expect("a name of letters");
-        registry.register_hidden(object, ContractPort::of_service_fn(serve));
+/// Lets operators give orders, where the node has keys.
+#[cfg(feature = "network")]
+pub(super) fn serve_operators(node: &Node) {
+    let registry = &node.0.environment.registry;
+    let (access, own) = (registry.access(), node.0.name.clone());
+    if access.policy().is_none() {
+        return;
     }
-
-    /// Gives an order to another node, as its operator: by the right `operate`. A node without keys
-    /// serves no operator.
-    ///
-    /// # Errors
-    /// There was no answer in time, or this node may not operate the other one.
-    #[cfg(feature = "network")]
-    pub async fn order_at(
-        &self,
-        node: &str,
-        order: ComponentOrder,
-        within: Duration,
-    ) -> Result<OrderReply, DeliveryError> {
-        let sender = self.sender::<ComponentOrder>(&format!("{node}:{COMPONENTS}"))?;
-        sender.ask_within(order, within).await.map_err(|error| error.kind)
-    }
-
-    /// The state of a component.
-    fn state_of(&self, name: &str) -> Result<Lifecycle, String> {
-        let component = self.0.environment.registry.watchable(name);
-        let state = component.map_err(|error| error.to_string())?.life_cycle();
-        state
-            .map(|(_, state)| state)
-            .ok_or_else(|| format!("{name} is no component: `list` shows those that there are"))
-    }
-
-    async fn set_active(&self, name: &str, wanted: Lifecycle) -> Result<(), String> {
-        match self.state_of(name)? {
-            state if state == wanted => return Err(format!("it is {wanted} already")),
-            Lifecycle::Created => {
-                let why = "it is being initialized, and becomes active by itself: try again then";
-                return Err(why.to_owned());
-            }
-            _ => {}
+    let shared = Arc::downgrade(&node.0);
+    let serve = ServiceFn::<ComponentOrder>(Arc::new(move |order, from, answer| {
+        let Some(node) = shared.upgrade().map(Node) else { return };
+        let by = operator(&access, from).unwrap_or_else(|| own.clone());
+        let ComponentOrder { verb, name } = &order;
+        if *verb != OrderVerb::List {
+            info!(target: "blastema::audit", operator = %by, ?name, "it orders: {verb:?}");
         }
-        let component = self.0.environment.registry.watchable(name);
-        component.map_err(|error| error.to_string())?.steer(wanted).await
-    }
+        actix_rt::spawn(async move { answer.give(node.order(&order).await) });
+    }));
+    let object = ObjectName::new(COMPONENTS).expect("a name of letters");
+    registry.register_hidden(object, ContractPort::of_service_fn(serve));
+}
 
-    async fn reset_by_order(&self, name: &str) -> Result<(), String> {
-        let object = ObjectName::new(name).map_err(|error| error.to_string())?;
-        if self.0.directory.supervisor(&object).is_none() {
-            return self.reset_component(name).await;
-        }
-        let is_in_error = |name: &str| self.state_of(name) == Ok(Lifecycle::Error);
-        let mut below = self.0.directory.subtree(&object);
-        below.retain(|name| is_in_error(name.as_str()));
-        if below.is_empty() {
-            return Err("no component below it is in error: only such ones can be reset".to_owned());
-        }
-        for name in below {
-            // The reset of one before may have restarted it with its group.
-            if is_in_error(name.as_str()) {
-                let reset = self.reset_component(name.as_str()).await;
-                reset.map_err(|why| format!("{name}: {why}"))?;
-            }
-        }
-        Ok(())
-    }
+/// The state of a component.
+fn state_of(node: &Node, name: &str) -> Result<Lifecycle, String> {
+    let component = node.0.environment.registry.watchable(name);
+    let state = component.map_err(|error| error.to_string())?.life_cycle();
+    state
+        .map(|(_, state)| state)
+        .ok_or_else(|| format!("{name} is no component: `list` shows those that there are"))
+}
 
-    async fn reset_component(&self, name: &str) -> Result<(), String> {
-        let state = self.state_of(name)?;
-        if state != Lifecycle::Error {
-            return Err(format!("it is {state}: only a component in error can be reset"));
-        }
-        let object = ObjectName::new(name).map_err(|error| error.to_string())?;
-        let supervisor = self.0.directory.supervisor_of(&object);
-        let supervisor = supervisor.ok_or("no supervisor keeps it any more")?;
-        let reset = ChildRequest { object, action: ChildAction::Reset };
-        match supervisor.requests.send(reset).await {
-            Ok(reset) => reset.map(drop).map_err(|gave_up| gave_up.why.to_string()),
-            Err(_) => Err("the node was shut down".to_owned()),
-        }
-    }
-
-    async fn acknowledge_by_order(&self, name: Option<&str>) -> Result<(), String> {
-        let known = self.lost_communication().into_iter();
-        let names: Vec<_> = match name {
-            Some(name) => vec![name.to_owned()],
-            None => known.filter(|row| row.is_back).map(|row| row.name).collect(),
-        };
-        if names.is_empty() {
-            let why = "no policy for lost communication holds a rung that can end: `list` shows \
-                       the policies";
+async fn set_active(node: &Node, name: &str, wanted: Lifecycle) -> Result<(), String> {
+    match state_of(node, name)? {
+        state if state == wanted => return Err(format!("it is {wanted} already")),
+        Lifecycle::Created => {
+            let why = "it is being initialized, and becomes active by itself: try again then";
             return Err(why.to_owned());
         }
-        for name in names {
-            self.acknowledge(&name).await.map_err(|error| error.to_string())?;
-        }
-        Ok(())
+        _ => {}
     }
+    let component = node.0.environment.registry.watchable(name);
+    component.map_err(|error| error.to_string())?.steer(wanted).await
+}
 
-    async fn order_rows(&self, name: Option<&str>) -> Vec<OrderRow> {
-        let registry = &self.0.environment.registry;
-        let table = self.table().await;
-        let components = table.into_iter().filter_map(|row| {
-            let FaultLocation::Object(address) = &row.location else { return None };
-            // First, for a name that is no object is compared with all that are.
-            let kind = registry.component_type(&address.object)?.split('<').next()?;
-            let component = registry.watchable(address.object.as_str()).ok()?;
-            // The monitor's table follows the component by a message.
-            let (incarnation, state) = component.life_cycle()?;
-            Some(OrderRow {
-                name: address.object.to_string(),
-                kind: kind.rsplit("::").next().unwrap_or(kind).to_owned(),
-                incarnation: incarnation.0,
-                state: state.to_string(),
-                note: row.waiting_for.or(row.note).unwrap_or_default(),
-            })
-        });
-        let policies = self.lost_communication().into_iter().map(|row| OrderRow {
-            name: row.name,
-            kind: "policy".to_owned(),
-            incarnation: 0,
-            state: row.rung.unwrap_or_else(|| "others command".to_owned()),
-            note: if row.is_back { "communication is back: acknowledge" } else { "" }.to_owned(),
-        });
-        let wanted = |row: &OrderRow| name.is_none_or(|name| row.name == name);
-        components.chain(policies).filter(wanted).collect()
+async fn reset_by_order(node: &Node, name: &str) -> Result<(), String> {
+    let object = ObjectName::new(name).map_err(|error| error.to_string())?;
+    if node.0.chain.directory.supervisor(&object).is_none() {
+        return reset_component(node, name).await;
     }
+    let is_in_error = |name: &str| state_of(node, name) == Ok(Lifecycle::Error);
+    let mut below = node.0.chain.directory.subtree(&object);
+    below.retain(|name| is_in_error(name.as_str()));
+    if below.is_empty() {
+        return Err("no component below it is in error: only such ones can be reset".to_owned());
+    }
+    for name in below {
+        // The reset of one before may have restarted it with its group.
+        if is_in_error(name.as_str()) {
+            let reset = reset_component(node, name.as_str()).await;
+            reset.map_err(|why| format!("{name}: {why}"))?;
+        }
+    }
+    Ok(())
+}
+
+async fn reset_component(node: &Node, name: &str) -> Result<(), String> {
+    let state = state_of(node, name)?;
+    if state != Lifecycle::Error {
+        return Err(format!("it is {state}: only a component in error can be reset"));
+    }
+    let object = ObjectName::new(name).map_err(|error| error.to_string())?;
+    let supervisor = node.0.chain.directory.supervisor_of(&object);
+    let supervisor = supervisor.ok_or("no supervisor keeps it any more")?;
+    let reset = ChildRequest { object, action: ChildAction::Reset };
+    match supervisor.requests.send(reset).await {
+        Ok(reset) => reset.map(drop).map_err(|gave_up| gave_up.why.to_string()),
+        Err(_) => Err("the node was shut down".to_owned()),
+    }
+}
+
+async fn acknowledge_by_order(node: &Node, name: Option<&str>) -> Result<(), String> {
+    let known = node.lost_communication().into_iter();
+    let names: Vec<_> = match name {
+        Some(name) => vec![name.to_owned()],
+        None => known.filter(|row| row.is_back).map(|row| row.name).collect(),
+    };
+    if names.is_empty() {
+        let why = "no policy for lost communication holds a rung that can end: `list` shows \
+                   the policies";
+        return Err(why.to_owned());
+    }
+    for name in names {
+        node.acknowledge(&name).await.map_err(|error| error.to_string())?;
+    }
+    Ok(())
+}
+
+async fn order_rows(node: &Node, name: Option<&str>) -> Vec<OrderRow> {
+    let registry = &node.0.environment.registry;
+    let table = node.table().await;
+    let components = table.into_iter().filter_map(|row| {
+        let FaultLocation::Object(address) = &row.location else { return None };
+        // First, for a name that is no object is compared with all that are.
+        let kind = registry.component_type(&address.object)?.split('<').next()?;
+        let component = registry.watchable(address.object.as_str()).ok()?;
+        // The monitor's table follows the component by a message.
+        let (incarnation, state) = component.life_cycle()?;
+        Some(OrderRow {
+            name: address.object.to_string(),
+            kind: kind.rsplit("::").next().unwrap_or(kind).to_owned(),
+            incarnation: incarnation.0,
+            state: state.to_string(),
+            note: row.waiting_for.or(row.note).unwrap_or_default(),
+        })
+    });
+    let policies = node.lost_communication().into_iter().map(|row| OrderRow {
+        name: row.name,
+        kind: "policy".to_owned(),
+        incarnation: 0,
+        state: row.rung.unwrap_or_else(|| "others command".to_owned()),
+        note: if row.is_back { "communication is back: acknowledge" } else { "" }.to_owned(),
+    });
+    let wanted = |row: &OrderRow| name.is_none_or(|name| row.name == name);
+    components.chain(policies).filter(wanted).collect()
 }

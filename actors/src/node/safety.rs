@@ -5,20 +5,20 @@
 //! put into the queues of actuators; for as long as a call may take, the thread that ends the
 //! program waits for them.
 
-use super::{Node, NodeState, Shared};
+use super::{NodeState, Shared};
 use crate::arbiter::heartbeat::ArbiterHeartbeat;
 use crate::fault_chain::strategy::NOT_RETURNED;
-use crate::platform;
 use crate::platform::signals::{Termination, Terminations, on_termination};
+use crate::platform::{self, lock};
 use blastema_core::{Fault, FaultKind};
-use std::future::{Future, pending};
-use std::sync::atomic::AtomicUsize;
+use std::future::Future;
 use std::sync::atomic::Ordering::SeqCst;
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
+use std::sync::atomic::{AtomicBool, AtomicUsize};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, Weak};
 use std::time::Duration;
 use std::{fmt, io};
 use tokio::sync::oneshot::error::TryRecvError;
-use tracing::{info, warn};
+use tracing::warn;
 
 /// How often it is looked whether the outputs are safe.
 const POLL_INTERVAL: Duration = Duration::from_millis(1);
@@ -32,23 +32,46 @@ const LAST_STEPS: Duration = Duration::from_millis(250);
 /// The callers of [`Node::run_until_signal`] and [`NodeBuilder::run_until`](super::NodeBuilder::run_until).
 static WAITING: AtomicUsize = AtomicUsize::new(0);
 
-/// The exit status of a process whose node has stopped because another process has its name.
-#[cfg(feature = "network")]
-const NAME_TAKEN: i32 = 3;
-
 fn nodes() -> MutexGuard<'static, Vec<Weak<Shared>>> {
     // Each change is one insertion or removal.
-    NODES.lock().unwrap_or_else(PoisonError::into_inner)
+    lock(&NODES)
+}
+
+/// What is known of the outputs of a node.
+#[derive(Default)]
+pub(super) struct OutputState {
+    /// Components have begun, so that outputs may have to be made safe.
+    pub(super) begun: AtomicBool,
+    /// The safe outputs were applied without the fault chain.
+    safe: Mutex<bool>,
 }
 
 impl Shared {
+    /// Has SIGTERM, SIGINT and SIGHUP apply the safe outputs and close the journal, if this node
+    /// has any.
+    pub(super) fn apply_safe_outputs_on_signals(self: &Arc<Self>) -> io::Result<()> {
+        if !self.chain.safe_outputs.are_declared() {
+            for actuator in self.environment.actuators().without_cut_off() {
+                warn!(%actuator, "nothing stops this actuator if its component hangs: declare a cut_off, or safe_outputs of the node");
+            }
+        }
+        let mut nodes = nodes();
+        nodes.retain(|node| node.strong_count() > 0);
+        nodes.push(Arc::downgrade(self));
+        drop(nodes);
+        match self.has_outputs() || self.chain.keeps_journal() {
+            true => handle_signals(),
+            false => Ok(()),
+        }
+    }
+
     /// Applies the safe outputs and cuts the actuators off, from whichever thread this is; once.
     /// Says on standard error and in the log that the node ends otherwise than in order, for this
     /// cause, and what came of its outputs. Nothing is done, or said, for a node that has stopped
     /// or is in the safe state, nor for one without outputs that never came to work.
     pub(super) fn become_safe(&self, cause: &str) {
         let has_outputs = self.has_outputs();
-        let ends = match *self.state.borrow() {
+        let ends = match *self.chain.state.borrow() {
             NodeState::Starting => has_outputs,
             NodeState::Running => true,
             NodeState::InSafeState { .. } | NodeState::Stopped => false,
@@ -61,7 +84,7 @@ impl Shared {
 
     /// The same, whatever the node's state. Another caller waits meanwhile.
     pub(super) fn make_safe(&self, cause: &str) {
-        let mut is_safe = self.safe.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut is_safe = lock(&self.outputs.safe);
         if std::mem::replace(&mut *is_safe, true) {
             return;
         }
@@ -76,8 +99,8 @@ impl Shared {
     }
 
     /// Whether its outputs were made safe, once that is done.
-    fn is_safe(&self) -> bool {
-        *self.safe.lock().unwrap_or_else(PoisonError::into_inner)
+    pub(super) fn is_safe(&self) -> bool {
+        *lock(&self.outputs.safe)
     }
 
     fn has_outputs(&self) -> bool {
@@ -169,7 +192,7 @@ fn end_all(signal: Termination) {
 fn handle_signals() -> io::Result<()> {
     static STARTED: OnceLock<()> = OnceLock::new();
     static STARTING: Mutex<()> = Mutex::new(());
-    let _one = STARTING.lock().unwrap_or_else(PoisonError::into_inner);
+    let _one = lock(&STARTING);
     if STARTED.get().is_none() {
         let mut is_first = true;
         on_termination(move |signal| {
@@ -185,6 +208,13 @@ fn handle_signals() -> io::Result<()> {
 /// What ends a node that runs to its end: a signal, or else the program.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct EndCause(Option<Termination>);
+
+impl EndCause {
+    /// The exit status of a process that this signal ended.
+    pub(super) fn exit_code(self) -> Option<i32> {
+        self.0.map(Termination::exit_code)
+    }
+}
 
 impl fmt::Display for EndCause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -216,116 +246,5 @@ impl SignalWait {
 impl Drop for SignalWait {
     fn drop(&mut self) {
         WAITING.fetch_sub(1, SeqCst);
-    }
-}
-
-impl Node {
-    /// Has SIGTERM, SIGINT and SIGHUP apply the safe outputs and close the journal, if this node
-    /// has any.
-    pub(super) fn apply_safe_outputs_on_signals(&self) -> io::Result<()> {
-        if !self.0.chain.safe_outputs.are_declared() {
-            for actuator in self.0.environment.actuators().without_cut_off() {
-                warn!(%actuator, "nothing stops this actuator if its component hangs: declare a cut_off, or safe_outputs of the node");
-            }
-        }
-        let mut nodes = nodes();
-        nodes.retain(|node| node.strong_count() > 0);
-        nodes.push(Arc::downgrade(&self.0));
-        drop(nodes);
-        match self.0.has_outputs() || self.0.chain.keeps_journal() {
-            true => handle_signals(),
-            false => Ok(()),
-        }
-    }
-
-    /// Waits for SIGTERM, SIGINT (Ctrl-C) or SIGHUP (the terminal is closed), and
-    /// [shuts down](Node::shutdown) in order. A second signal during that applies the safe outputs
-    /// and ends the process at once. Where not every hook of a stop has run, because a component
-    /// hangs, the safe outputs are applied, and the process ends here with the status 128 + signal,
-    /// at the latest a second after the longest [`shutdown_within`](crate::ChildSpec::shutdown_within).
-    /// Where another process with this node's name is reached by a neighbour, and answers, this
-    /// node stops in order, and the process ends here with the status 3. Returns too when the node
-    /// was shut down otherwise and has left its peers; a node in the safe state waits on, so that a
-    /// person can look at it.
-    ///
-    /// ```no_run
-    /// use blastema::prelude::*;
-    /// # struct Lamp;
-    /// # impl Component for Lamp {}
-    ///
-    /// #[blastema::main]
-    /// async fn main() -> Result<(), Box<dyn std::error::Error>> {
-    ///     let node = Node::builder("module1").child(ChildSpec::new("lamp", ||
-    /// Lamp)).start().await?;
-    ///     node.run_until_signal().await?;
-    ///     Ok(())
-    /// }
-    /// ```
-    ///
-    /// # Errors
-    /// The operating system does not tell of signals.
-    pub async fn run_until_signal(&self) -> io::Result<()> {
-        let mut wait = SignalWait::begin()?;
-        self.run_to(wait.cause(pending())).await;
-        Ok(())
-    }
-
-    /// Shuts down for the first of these causes, unless the node has been shut down before.
-    pub(super) async fn run_to(&self, cause: impl Future<Output = EndCause>) {
-        let mut state = self.0.state.clone();
-        let cause = tokio::select! {
-            cause = cause => Some(cause),
-            // Also if the sender of the state was dropped.
-            _ = state.wait_for(|state| *state == NodeState::Stopped) => None,
-        };
-        match cause {
-            Some(cause) => self.end_for(cause).await,
-            // Its components have ended, and it may not have left its peers.
-            None => {
-                self.end_if_displaced().await;
-                self.shutdown().await;
-            }
-        }
-    }
-
-    /// Shuts this node down once another process has its name, and answers.
-    #[cfg(feature = "network")]
-    pub(super) fn stop_if_displaced(&self) {
-        let Some(networks) = &self.0.networks else { return };
-        let (name, mut state) = (networks.handle.own_name().clone(), self.0.state.clone());
-        let node = Arc::downgrade(&self.0);
-        actix_rt::spawn(async move {
-            let why = tokio::select! {
-                why = name.until_taken() => why,
-                // Also if the sender of the state was dropped.
-                _ = state.wait_for(|state| *state == NodeState::Stopped) => return,
-            };
-            platform::tell_person(&why);
-            if let Some(node) = node.upgrade().map(Node) {
-                node.shut_down_because(&why).await;
-            }
-        });
-    }
-
-    /// Ends the process if its node has stopped for that reason.
-    pub(super) async fn end_if_displaced(&self) {
-        #[cfg(feature = "network")]
-        if let Some(networks) = &self.0.networks
-            && let Some(why) = networks.handle.own_name().taken()
-        {
-            self.shut_down_because(&why).await;
-            platform::end_process(NAME_TAKEN);
-        }
-    }
-
-    /// Shuts down in order. Where that was not possible after a signal, the process ends.
-    pub(super) async fn end_for(&self, cause: EndCause) {
-        info!(node = %self.0.name, %cause, "the node is shut down");
-        self.shut_down_because(&format!("{cause} shut it down")).await;
-        if let EndCause(Some(signal)) = cause
-            && self.0.is_safe()
-        {
-            platform::end_process(signal.exit_code());
-        }
     }
 }

@@ -32,9 +32,9 @@ pub(super) const PART_TIMEOUT: Duration = Duration::from_secs(1);
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct NodeSnapshot {
-    /// Which node.
+    /// The name of the node.
     pub node: NodeName,
-    /// Which incarnation.
+    /// The incarnation of the node that runs now.
     pub incarnation: Incarnation,
     /// How it is.
     pub state: NodeState,

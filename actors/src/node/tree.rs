@@ -5,7 +5,9 @@ use crate::component::environment::ComponentEnvironment;
 use crate::component::spec_error::SpecError;
 use crate::fault_chain::detection::DetectionActor;
 use crate::fault_chain::directory::SupervisorDirectory;
-use crate::fault_chain::supervisor::{SupervisorActor, SupervisorChild, SupervisorSetup};
+use crate::fault_chain::supervisor::{
+    SupervisorActor, SupervisorChild, SupervisorNeighbours, SupervisorSetup,
+};
 use crate::host::spec::ChildSpec;
 use crate::runtime::guardian::Guardian;
 use crate::settings::{INTENSITY, SettingError, intensity_period};
@@ -301,10 +303,12 @@ impl SupervisorSpec {
                 ..self.rules
             },
             children,
-            monitor: tree_environment.monitor.clone().recipient(),
-            states: tree_environment.monitor.clone().recipient(),
-            isolation: tree_environment.monitor.clone().recipient(),
-            directory: tree_environment.directory.clone(),
+            neighbours: SupervisorNeighbours {
+                monitor: tree_environment.monitor.clone().recipient(),
+                states: tree_environment.monitor.clone().recipient(),
+                isolation: tree_environment.monitor.clone().recipient(),
+                directory: tree_environment.directory.clone(),
+            },
             reserved: Some(reserved),
         };
         let supervisor =

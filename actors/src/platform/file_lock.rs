@@ -3,13 +3,13 @@
 //! The kernel gives it back when the process ends, however that happens. A node that starts waits
 //! for one of its own process that ends at this moment: see [`HeldHere`].
 
-use super::sleep;
+use super::{lock, sleep};
 use blastema_core::NodeName;
 use blastema_core::sorted::SortedMap;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard};
 use std::time::Duration;
 
 /// A process that is just being started by another thread holds what that one has open, for a
@@ -95,7 +95,7 @@ impl FileLock {
 static HELD: Mutex<SortedMap<PathBuf, usize>> = Mutex::new(SortedMap::new());
 
 fn held() -> MutexGuard<'static, SortedMap<PathBuf, usize>> {
-    HELD.lock().unwrap_or_else(PoisonError::into_inner)
+    lock(&HELD)
 }
 
 /// While it lives, a node of this process holds what is at the path: a file, or a socket.

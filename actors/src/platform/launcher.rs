@@ -52,7 +52,7 @@ pub(crate) struct LaunchOrder {
     pub(crate) stop_within: Duration,
     /// How far apart two `WATCHDOG=1` may be.
     pub(crate) watchdog: Option<Duration>,
-    /// In bytes.
+    /// In bytes; `None` for no limit.
     pub(crate) memory_limit: Option<u64>,
     /// It does not say `READY=1`.
     pub(crate) ready_at_start: bool,
@@ -65,7 +65,7 @@ pub(crate) struct ProcessStatus {
     pub(crate) process: Option<i32>,
     /// It has said `READY=1`, or was started and is not to say it.
     pub(crate) is_ready: bool,
-    /// Its `STATUS=`.
+    /// The text of its last `STATUS=`.
     pub(crate) status: String,
     /// It has said `STOPPING=1`.
     pub(crate) is_stopping: bool,
@@ -95,10 +95,11 @@ pub(crate) fn take_stage() {
             let node = io::stdin().as_fd().try_clone_to_owned().map(UnixStream::from);
             let order = env::args().nth(1).and_then(|order| serde_json::from_str(&order).ok());
             let (Ok(node), Some(order)) = (node, order) else { exit(1) };
-            let (told, said) = Default::default();
-            let mut launcher = Launcher { node, order, sign: None, is_judged: false, told, said };
+            let (reported, status) = Default::default();
+            let mut launcher =
+                Launcher { node, order, sign: None, is_judged: false, reported, status };
             let end = launcher.run().unwrap_or_else(|error| ProcessEnd::Failed(error.to_string()));
-            launcher.tell(|told| told.end = Some(end));
+            launcher.report(|status| status.end = Some(end));
             exit(0)
         }
     }
@@ -133,18 +134,18 @@ struct Launcher {
     sign: Option<Instant>,
     /// A failure was reported, or it is to stop: what it does until its end is of no interest.
     is_judged: bool,
-    /// What the node knows.
-    told: ProcessStatus,
-    /// The last `STATUS=`, which the node is told with other news, or at the next tick.
-    said: String,
+    /// The status that was last reported to the node.
+    reported: ProcessStatus,
+    /// The last `STATUS=`, which the next report contains, at the latest that of the next tick.
+    status: String,
 }
 
 impl Launcher {
-    /// Tells the node what has changed.
-    fn tell(&mut self, change: impl FnOnce(&mut ProcessStatus)) {
-        change(&mut self.told);
-        self.told.status.clone_from(&self.said);
-        let line = serde_json::to_string(&self.told).expect("a status is plain data");
+    /// Reports to the node what has changed.
+    fn report(&mut self, change: impl FnOnce(&mut ProcessStatus)) {
+        change(&mut self.reported);
+        self.reported.status.clone_from(&self.status);
+        let line = serde_json::to_string(&self.reported).expect("a status is plain data");
         // A node that has ended is found by the end of the socket.
         let _ = self.node.write_all(format!("{line}\n").as_bytes());
     }
@@ -162,9 +163,8 @@ impl Launcher {
             let lives = pidfd_open(program, PidfdFlags::empty())?;
             let is_ready = self.order.ready_at_start;
             self.sign = is_ready.then(now);
-            self.tell(|told| {
-                (told.process, told.is_ready) = (Some(program.as_raw_nonzero().get()), is_ready);
-            });
+            let process = Some(program.as_raw_nonzero().get());
+            self.report(|status| (status.process, status.is_ready) = (process, is_ready));
             self.watch(program, &socket.socket, lives.as_fd())
         });
         end_descendants();
@@ -217,8 +217,8 @@ impl Launcher {
             if now() >= next_tick {
                 next_tick = now() + TICK;
                 self.judge_memory();
-                if self.told.status != self.said {
-                    self.tell(|_| {});
+                if self.reported.status != self.status {
+                    self.report(|_| {});
                 }
             }
         }
@@ -239,7 +239,7 @@ impl Launcher {
             return;
         }
         self.is_judged = true;
-        self.tell(|told| told.is_silent = Some(false));
+        self.report(|status| status.is_silent = Some(false));
     }
 
     /// Reports a program that has more memory than it may.
@@ -249,7 +249,7 @@ impl Launcher {
         let resident = descendants().iter().map(|(_, pages)| pages * page).sum();
         if resident > limit {
             self.is_judged = true;
-            self.tell(|told| told.resident = Some(resident));
+            self.report(|status| status.resident = Some(resident));
         }
     }
 
@@ -271,22 +271,22 @@ impl Launcher {
             match line {
                 "READY=1" if self.sign.is_none() => {
                     self.sign = Some(now());
-                    self.tell(|told| told.is_ready = true);
+                    self.report(|status| status.is_ready = true);
                 }
                 // Before it is ready its watchdog does not count.
                 "WATCHDOG=1" => self.sign = self.sign.map(|_| now()),
                 "WATCHDOG=trigger" | "STOPPING=1" if self.is_judged => {}
                 "WATCHDOG=trigger" | "STOPPING=1" => {
                     self.is_judged = true;
-                    self.tell(|told| match line {
-                        "STOPPING=1" => told.is_stopping = true,
-                        _ => told.is_silent = Some(true),
+                    self.report(|status| match line {
+                        "STOPPING=1" => status.is_stopping = true,
+                        _ => status.is_silent = Some(true),
                     });
                 }
                 _ => {
                     if let Some(status) = line.strip_prefix("STATUS=") {
                         let plain = status.chars().map(|c| if c.is_control() { ' ' } else { c });
-                        self.said = plain.take(STATUS_MAX).collect();
+                        self.status = plain.take(STATUS_MAX).collect();
                     }
                 }
             }

@@ -11,7 +11,7 @@
 use std::any::Any;
 use std::cell::Cell;
 use std::panic;
-use std::sync::{Arc, Mutex, MutexGuard, Once, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, Once, OnceLock};
 use std::thread;
 
 thread_local! {
@@ -41,7 +41,7 @@ pub(crate) struct PanicRecord {
 
 impl Unwinding {
     fn lock(&self) -> MutexGuard<'_, Option<NotedPanic>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        super::lock(&self.0)
     }
 
     /// The panic that unwinds now.
@@ -153,10 +153,13 @@ pub(crate) fn end_of_program(payload: Box<dyn Any + Send>) -> ! {
 /// did.
 pub(crate) fn caught<T>(run: impl FnOnce() -> T) -> Result<T, String> {
     let _guarded = PanicGuard::enter();
-    panic::catch_unwind(panic::AssertUnwindSafe(run)).map_err(|payload| {
-        let PanicRecord { text, at } = read(payload);
-        format!("panicked at {at}: {text}")
-    })
+    panic::catch_unwind(panic::AssertUnwindSafe(run)).map_err(shown)
+}
+
+/// What a payload says of where and how it panicked.
+pub(crate) fn shown(payload: Box<dyn Any + Send>) -> String {
+    let PanicRecord { text, at } = read(payload);
+    format!("panicked at {at}: {text}")
 }
 
 /// The text and place of this thread's last panic, which was caught under a guard.

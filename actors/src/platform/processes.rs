@@ -95,13 +95,13 @@ impl RunningProcess {
 /// # Errors
 /// The operating system has no thread left, or no files.
 pub(crate) fn start_process(call: ProgramCall, order: LaunchOrder) -> io::Result<RunningProcess> {
-    let (told, status) = watch::channel(ProcessStatus::default());
+    let (sender, status) = watch::channel(ProcessStatus::default());
     let (stop, stopped) = watch::channel(false);
     let running = RunningProcess { status, stop: Arc::new(stop) };
     thread()?.spawn(async move {
         let failed = |error: io::Error| ProcessEnd::Failed(error.to_string());
-        let end = follow(call, &order, &told, stopped).await.unwrap_or_else(failed);
-        told.send_modify(|status| status.end = Some(end));
+        let end = follow(call, &order, &sender, stopped).await.unwrap_or_else(failed);
+        sender.send_modify(|status| status.end = Some(end));
     });
     Ok(running)
 }
@@ -123,7 +123,7 @@ fn thread() -> io::Result<&'static Handle> {
 async fn follow(
     call: ProgramCall,
     order: &LaunchOrder,
-    told: &watch::Sender<ProcessStatus>,
+    sender: &watch::Sender<ProcessStatus>,
     mut stopped: watch::Receiver<bool>,
 ) -> io::Result<ProcessEnd> {
     let (own, theirs) = std::os::unix::net::UnixStream::pair()?;
@@ -157,7 +157,7 @@ async fn follow(
         let Ok(Some(line)) = line else { break };
         let mut status: ProcessStatus = serde_json::from_str(&line)?;
         (end, process) = (status.end.take(), status.process);
-        told.send_replace(status);
+        sender.send_replace(status);
     }
     drop(socket);
     let exit = launcher.wait().await?;

@@ -16,7 +16,7 @@ pub enum Termination {
 }
 
 impl Termination {
-    /// Its name.
+    /// The name of the signal, such as `SIGTERM`.
     pub fn name(self) -> &'static str {
         match self {
             Termination::Terminate => "SIGTERM",

@@ -83,7 +83,7 @@ impl ProcessSpec {
         ProcessSpec { call, watchdog: None, memory_limit: None, ready_at_start: false }
     }
 
-    /// The program.
+    /// The program as it was given: a path, or a command to look for in `PATH`.
     pub fn program(&self) -> &Path {
         &self.call.program
     }

@@ -106,14 +106,14 @@ impl SupervisedProcess {
         cx.spawn(async move {
             // After the report of the incarnation that it is active, which has no reason.
             tokio::task::yield_now().await;
-            let (mut status, mut told) = (running.status.clone(), ProcessStatus::default());
+            let (mut status, mut reported) = (running.status.clone(), ProcessStatus::default());
             loop {
                 let now = status.borrow_and_update().clone();
                 // What it does when it was asked to stop is as it should be.
                 if running.is_stopped() {
                     return;
                 }
-                if now.status != told.status
+                if now.status != reported.status
                     && let Some(states) = &cell.record.environment.reports.states
                 {
                     let (object, incarnation) = (cell.record.name.clone(), state.incarnation);
@@ -155,7 +155,7 @@ impl SupervisedProcess {
                     }
                     (None, None) => {}
                 }
-                if let (Some(triggered), None) = (now.is_silent, told.is_silent) {
+                if let (Some(triggered), None) = (now.is_silent, reported.is_silent) {
                     let text = match (triggered, settings.spec.watchdog) {
                         (false, Some(watchdog)) => format!(
                             "it did not say that it is alive (WATCHDOG=1) for {watchdog:?}: it hangs, or \
@@ -165,7 +165,7 @@ impl SupervisedProcess {
                     };
                     cell.record.declare(FaultKind::Silence, with_status(text));
                 }
-                told = now;
+                reported = now;
                 if status.changed().await.is_err() {
                     return;
                 }

@@ -104,7 +104,7 @@ impl AccessControl {
 #[cfg(feature = "network")]
 mod rights {
     use super::{AccessControl, AccessWish};
-    use crate::platform;
+    use crate::platform::{self, lock};
     use blastema_core::net::NodeId;
     use blastema_core::net::trust::access::{AccessDenied, AccessPolicy, RefusalLog, RefusalRow};
     use blastema_core::net::trust::policy::Verb;
@@ -123,7 +123,7 @@ mod rights {
     #[derive(Clone, Debug, PartialEq, Eq)]
     #[non_exhaustive]
     pub struct AccessRefusal {
-        /// The node.
+        /// The node that was refused.
         pub node: NodeName,
         /// What it wanted: a verb of the policy, such as `lease`.
         pub verb: &'static str,
@@ -168,7 +168,7 @@ mod rights {
         }
 
         fn record(&self, denied: AccessDenied) {
-            let mut log = self.log.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut log = lock(&self.log);
             let Some(times) = log.handle_refused(denied.clone(), platform::now()) else { return };
             drop(log);
             let AccessDenied { peer, verb, object, contract, line, serial } = denied;
@@ -199,20 +199,20 @@ mod rights {
 
         /// The refusal of a program that was last, and when.
         pub(crate) fn newest_of_a_program(&self) -> Option<RefusalRow> {
-            let log = self.rights.log.lock().unwrap_or_else(PoisonError::into_inner);
+            let log = lock(&self.rights.log);
             log.rows().filter(|row| row.denied.is_of_a_program()).max_by_key(|row| row.last)
         }
 
         /// Nodes that were refused so much, or more, since this was asked last.
         pub(crate) fn take_floods(&self, least: u64) -> Vec<NodeName> {
-            let mut log = self.rights.log.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut log = lock(&self.rights.log);
             log.take_floods(least)
         }
 
         /// What was refused, in the order of nodes.
         pub(crate) fn refusals(&self) -> Vec<AccessRefusal> {
             let now = platform::now();
-            let log = self.rights.log.lock().unwrap_or_else(PoisonError::into_inner);
+            let log = lock(&self.rights.log);
             let row = |row: RefusalRow| AccessRefusal {
                 node: row.denied.peer,
                 verb: row.denied.verb.word(),

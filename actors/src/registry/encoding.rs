@@ -1,9 +1,11 @@
 //! Messages and replies as bytes, and why one cannot be.
 
+use crate::messaging::reply::Responder;
 use blastema_core::contract::codec;
 use blastema_core::{
     Contract, ContractIdentity, DeliveryError, GatherBuffer, PeerIdentity, PreviousVersion,
 };
+use blastema_macros::Structure;
 
 pub(crate) fn encoded_reply<M: Contract>(
     reply: M::Reply,
@@ -42,12 +44,63 @@ pub(crate) fn encoded<M: Contract>(message: &M) -> Result<Vec<u8>, DeliveryError
     Ok(bytes)
 }
 
-/// How the contract `M` differs from the one of this identity, by which another party has refused.
-pub(crate) fn differs<M: Contract>(theirs: &[u8], party: &str) -> DeliveryError {
-    let difference = match PeerIdentity::decode(theirs) {
-        Ok(theirs) => ContractIdentity::of::<M>().check(&theirs).err(),
-        Err(error) => return DeliveryError::Undecodable { reason: error.to_string() },
-    };
-    let difference = difference.map_or(format!("the {party} says so"), |it| it.to_string());
-    DeliveryError::ContractDiffers { difference }
+/// The contract of the other party is another one: this, in full.
+#[derive(Clone, Debug, Structure)]
+#[contract(crate = "crate")]
+pub(crate) struct OtherContract {
+    identity: Vec<u8>,
+}
+
+impl OtherContract {
+    /// How the contract `M` differs from this one, by which another party has refused.
+    pub(crate) fn difference<M: Contract>(&self, party: &str) -> DeliveryError {
+        let difference = match PeerIdentity::decode(&self.identity) {
+            Ok(theirs) => ContractIdentity::of::<M>().check(&theirs).err(),
+            Err(error) => return DeliveryError::Undecodable { reason: error.to_string() },
+        };
+        let difference = difference.map_or(format!("the {party} says so"), |it| it.to_string());
+        DeliveryError::ContractDiffers { difference }
+    }
+
+    /// The name of the contract.
+    pub(crate) fn name(&self) -> String {
+        PeerIdentity::decode(&self.identity).map(|known| known.name).unwrap_or_default()
+    }
+}
+
+/// Why the node refuses a request that names the contract which it is about.
+pub(crate) enum RequestRefusal {
+    Differs(OtherContract),
+    Why(DeliveryError),
+}
+
+impl From<DeliveryError> for RequestRefusal {
+    fn from(why: DeliveryError) -> Self {
+        RequestRefusal::Why(why)
+    }
+}
+
+impl RequestRefusal {
+    /// Compares the contract that a request names with the one that there is.
+    pub(crate) fn check(known: &ContractIdentity, theirs: &PeerIdentity) -> Result<(), Self> {
+        let differs = |_| OtherContract { identity: known.full().encode() };
+        known.check(theirs).map_err(differs).map_err(RequestRefusal::Differs)
+    }
+}
+
+/// The identity of a contract that a request names.
+pub(crate) fn named_contract(identity: &[u8]) -> Result<PeerIdentity, DeliveryError> {
+    PeerIdentity::decode(identity)
+        .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })
+}
+
+impl<T, M: Contract<Reply = Result<T, OtherContract>>> Responder<M> {
+    /// Replies, or refuses.
+    pub(crate) fn settle(self, result: Result<T, RequestRefusal>) {
+        match result {
+            Ok(reply) => self.give(Ok(reply)),
+            Err(RequestRefusal::Differs(other)) => self.give(Err(other)),
+            Err(RequestRefusal::Why(why)) => self.refuse(why, None),
+        }
+    }
 }

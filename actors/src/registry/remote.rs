@@ -158,9 +158,7 @@ impl RemoteWay {
                 let stub = stubs.stub(to.clone(), ContractIdentity::of::<M>());
                 Sender(Arc::new(Outlet::<M> { stub, to, sends: PhantomData }))
             }
-            RemoteWay::Claimed(holder) => {
-                Sender(Arc::new(CurrentSender::<M, _>::new(holder, registry.clone())))
-            }
+            RemoteWay::Claimed(holder) => CurrentSender::to(holder, registry.clone()),
         }
     }
 }
@@ -189,10 +187,6 @@ impl<M: Contract> Outlet<M> {
 }
 
 impl<M: Contract> MessageSink<M> for Outlet<M> {
-    fn tell(&self, message: M) -> Result<(), SendError<M>> {
-        self.offer(message)
-    }
-
     fn offer(&self, mut message: M) -> Result<(), SendError<M>> {
         self.send(&mut message, None).map_err(|why| SendError::new(why, message))
     }

@@ -27,6 +27,7 @@ use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::reply::Responder;
 use crate::messaging::sender::Sender;
 use crate::platform;
+use crate::platform::lock;
 use crate::registry::access::MessageOrigin;
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, Registry, WeakRegistry};
@@ -36,7 +37,7 @@ use blastema_core::{DeliveryError, Incarnation, ObjectAddress, ObjectName};
 use blastema_macros::{Request, Structure};
 use std::future::Future;
 use std::mem::replace;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 use tracing::warn;
 
@@ -146,7 +147,7 @@ async fn ask_on<O: Future<Output = ()>>(
     lost: impl Fn(String),
     opening: impl Fn() -> O,
 ) {
-    let (mut is_lost, mut was_back, mut is_gone) = (false, false, false);
+    let (mut is_lost, mut was_back, mut is_gone, mut is_absent) = (false, false, false, false);
     loop {
         let question = AwaitEnd { object: object.clone(), after };
         match sender.ask_within(question, WATCH_TIMEOUT).await.map_err(|error| error.kind) {
@@ -165,7 +166,8 @@ async fn ask_on<O: Future<Output = ()>>(
                 if let Some(ended) = ended.filter(|_| !(was_gone && is_unknown)) {
                     down(ended);
                 }
-                if !is_unknown {
+                is_absent = is_unknown;
+                if !is_absent {
                     continue;
                 }
                 // It is looked for again until an object has the name.
@@ -186,7 +188,7 @@ async fn ask_on<O: Future<Output = ()>>(
                 if after == EndsAfter::Question {
                     after = EndsAfter::Opening;
                 }
-                if !is_lost && why != DeliveryError::Restarting {
+                if !is_lost && !is_absent && why != DeliveryError::Restarting {
                     lost(match why {
                         DeliveryError::OutcomeUnknown { reason } => reason,
                         // The message of which its text speaks is this question.
@@ -208,8 +210,8 @@ async fn ask_on<O: Future<Output = ()>>(
 pub(crate) fn serve(registry: &Registry) -> DeathWatchService {
     let service = DeathWatchService::new(registry);
     let service_fn = service.clone();
-    let serve = move |AwaitEnd { object, after }, by, answer| {
-        service_fn.serve(object, after, (by, answer));
+    let serve = move |AwaitEnd { object, after }, by, responder| {
+        service_fn.serve(object, after, (by, responder));
     };
     let object = ObjectName::new(OBJECT).expect("a name of letters");
     registry.register_hidden(
@@ -245,7 +247,7 @@ struct Waiting {
     by: MessageOrigin,
     /// Ends with a higher number count.
     after: u64,
-    answer: Responder<AwaitEnd>,
+    responder: Responder<AwaitEnd>,
 }
 
 impl DeathWatchService {
@@ -254,28 +256,26 @@ impl DeathWatchService {
         DeathWatchService { number, registry: registry.downgrade(), questions }
     }
 
-    fn lock(&self) -> MutexGuard<'_, Questions> {
-        self.questions.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// The session with this node is opened, or loses its path: its watches that begin before the
     /// nodes are connected are told the ends from now on.
     pub(crate) fn handle_opening(&self, peer: NodeId) {
-        self.lock().openings.insert(MessageOrigin { peer: Some(peer) }, last_end_number());
+        lock(&self.questions)
+            .openings
+            .insert(MessageOrigin { peer: Some(peer) }, last_end_number());
     }
 
     /// This node begins to end in order.
     pub(crate) fn handle_leaving(&self) {
-        self.lock().last.get_or_insert_with(last_end_number);
+        lock(&self.questions).last.get_or_insert_with(last_end_number);
     }
 
     fn serve(
         &self,
         object: ObjectName,
         after: EndsAfter,
-        (by, answer): (MessageOrigin, Responder<AwaitEnd>),
+        (by, responder): (MessageOrigin, Responder<AwaitEnd>),
     ) {
-        let questions = self.lock();
+        let questions = lock(&self.questions);
         let opening = questions.openings.get(&by).copied();
         let (after, waits) = match after {
             EndsAfter::Question => (u64::MAX, false),
@@ -288,14 +288,14 @@ impl DeathWatchService {
         let ended = match last.filter(|last| last.number > after && questions.is_told(last)) {
             Some(last) => Some(last.down.into()),
             None if questions.last.is_some() => {
-                return self.wait(questions, object, Waiting { by, after, answer });
+                return self.wait(questions, object, Waiting { by, after, responder });
             }
             None if absent.as_ref().is_some_and(|end| end.ending == DownReason::Unknown) => absent,
             None if !waits => absent,
-            None => return self.wait(questions, object, Waiting { by, after, answer }),
+            None => return self.wait(questions, object, Waiting { by, after, responder }),
         };
         drop(questions);
-        answer.give(self.watched(number, ended));
+        responder.give(self.watched(number, ended));
     }
 
     fn wait(
@@ -306,7 +306,7 @@ impl DeathWatchService {
     ) {
         let (mut waiting, mut of_asker) = (0, 0);
         questions.waiting.retain(|_, others| {
-            others.retain(|other| other.answer.is_wanted());
+            others.retain(|other| other.responder.is_wanted());
             waiting += others.len();
             of_asker += others.iter().filter(|other| other.by == question.by).count();
             !others.is_empty()
@@ -316,7 +316,7 @@ impl DeathWatchService {
         }
         questions.count_refused(question.by, of_asker);
         drop(questions);
-        question.answer.refuse(DeliveryError::Full, None);
+        question.responder.refuse(DeliveryError::Full, None);
     }
 
     fn watched(&self, number: u64, ended: Option<LastEnd>) -> Watched {
@@ -332,8 +332,7 @@ impl DeathWatchService {
         let tell = move |down: Down| match down.ending {
             // Only ever said while the watch begins.
             DownReason::NotAlive | DownReason::Unknown => {
-                *reported.lock().unwrap_or_else(PoisonError::into_inner) =
-                    Some(LastEnd::from(down));
+                *lock(&reported) = Some(LastEnd::from(down));
             }
             _ => service_fn.end(down),
         };
@@ -341,12 +340,12 @@ impl DeathWatchService {
         let incarnation = Arc::new(IncarnationToken::default());
         let watcher = Watcher { who, incarnation, outlasts_object: false, tell: Box::new(tell) };
         let last = registry.watch(object.clone(), watcher);
-        (last, absent.lock().unwrap_or_else(PoisonError::into_inner).take())
+        (last, lock(&absent).take())
     }
 
     /// Answers the questions that have not been answered with this end or a later one.
     fn end(&self, down: Down) {
-        let mut questions = self.lock();
+        let mut questions = lock(&self.questions);
         let Some(waiting) = questions.waiting.remove(&down.object) else { return };
         let object = down.object.clone();
         // Where the object has gone with its end, no later one can be.
@@ -360,7 +359,7 @@ impl DeathWatchService {
         }
         drop(questions);
         let watched = self.watched(last.number, Some(last.down.into()));
-        due.into_iter().for_each(|waiting| waiting.answer.give(watched.clone()));
+        due.into_iter().for_each(|waiting| waiting.responder.give(watched.clone()));
     }
 }
 
@@ -405,13 +404,13 @@ mod tests {
     ) -> Arc<Mutex<Option<Result<Watched, DeliveryError>>>> {
         let answered = Arc::new(Mutex::new(None));
         let keep = answered.clone();
-        let answer = Responder::called_back(
+        let responder = Responder::called_back(
             Box::new(move |result| *keep.lock().unwrap() = Some(result)),
             None,
         );
         let by = MessageOrigin { peer: Some(NodeId::of(&NodeName::new(by).unwrap())) };
         let arm = ObjectName::new("arm").unwrap();
-        service.serve(arm, after, (by, answer));
+        service.serve(arm, after, (by, responder));
         answered
     }
 
@@ -423,6 +422,46 @@ mod tests {
     }
 
     #[test]
+    fn an_object_that_no_node_has_is_not_lost_with_its_node() {
+        paused(async {
+            let count = Arc::new(Mutex::new(0));
+            let serve = move |_: AwaitEnd, _, responder: Responder<AwaitEnd>| {
+                let mut count = count.lock().unwrap();
+                *count += 1;
+                let reason = "the session ended".to_owned();
+                let node = "module2".to_owned();
+                match *count {
+                    2 => responder.refuse(DeliveryError::OutcomeUnknown { reason }, None),
+                    3 => responder.refuse(DeliveryError::Unreachable { node }, None),
+                    5 => responder
+                        .refuse(DeliveryError::PeerDied { incarnation: Incarnation(1) }, None),
+                    _ => {
+                        let (incarnation, ending) = (Incarnation(0), DownReason::Unknown);
+                        let ended = Some(LastEnd { incarnation, ending });
+                        // Its node has started again meanwhile.
+                        let seen = SeenEnd { service: *count, number: 0 };
+                        responder.give(Watched { seen, ended });
+                    }
+                }
+            };
+            let sender = Sender(Arc::new(ServiceFn::<AwaitEnd>(Arc::new(serve))));
+            let told = Arc::new(Mutex::new(Vec::new()));
+            let (ends, losses) = (told.clone(), told.clone());
+            let arm = ObjectName::new("arm").unwrap();
+            actix_rt::spawn(async move {
+                let down = |end: LastEnd| ends.lock().unwrap().push(format!("{:?}", end.ending));
+                let lost = |reason| losses.lock().unwrap().push(reason);
+                ask_on(&sender, (&arm, EndsAfter::Question), down, lost, std::future::pending)
+                    .await;
+            });
+
+            advance(8 * RETRY_DELAY).await;
+
+            assert_eq!(*told.lock().unwrap(), ["Unknown"]);
+        });
+    }
+
+    #[test]
     fn a_node_that_was_started_again_between_two_questions_or_during_one_was_lost() {
         paused(async {
             for why in
@@ -430,16 +469,16 @@ mod tests {
             {
                 let asked = Arc::new(Mutex::new(Vec::new()));
                 let questions = asked.clone();
-                let serve = move |AwaitEnd { after, .. }, _, answer: Responder<AwaitEnd>| {
+                let serve = move |AwaitEnd { after, .. }, _, responder: Responder<AwaitEnd>| {
                     let mut asked = questions.lock().unwrap();
                     asked.push(after);
                     let watched =
                         |service| Watched { seen: SeenEnd { service, number: 0 }, ended: None };
                     match asked.len() {
-                        1 => answer.give(watched(7)),
-                        2 => answer.refuse(why.clone(), None),
-                        3 => answer.give(watched(8)),
-                        _ => std::mem::forget(answer),
+                        1 => responder.give(watched(7)),
+                        2 => responder.refuse(why.clone(), None),
+                        3 => responder.give(watched(8)),
+                        _ => std::mem::forget(responder),
                     }
                 };
                 let sender = Sender(Arc::new(ServiceFn::<AwaitEnd>(Arc::new(serve))));
@@ -528,7 +567,7 @@ mod tests {
         assert_eq!(waiting(&service, "second", 2 * WAITING_MAX), WAITING_MAX / 4);
         assert_eq!(waiting(&service, "honest", 100), 100);
 
-        let refused: Vec<_> = service.lock().refused.values().copied().collect();
+        let refused: Vec<_> = lock(&service.questions).refused.values().copied().collect();
         assert_eq!(refused.iter().sum::<u64>(), (WAITING_MAX * 3 / 2 + WAITING_MAX * 7 / 4) as u64);
         let answer = ask(&service, "honest");
         deaths.end(&ObjectName::new("arm").unwrap(), DownReason::Stopped);

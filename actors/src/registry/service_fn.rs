@@ -34,10 +34,6 @@ impl<M: Contract> Clone for ServiceFn<M> {
 }
 
 impl<M: Contract> MessageSink<M> for ServiceFn<M> {
-    fn tell(&self, message: M) -> Result<(), SendError<M>> {
-        self.offer(message)
-    }
-
     fn offer(&self, message: M) -> Result<(), SendError<M>> {
         if let Some(why) = heartbeat::send_refusal() {
             return Err(SendError::new(why, message));

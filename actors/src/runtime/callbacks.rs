@@ -15,12 +15,13 @@
 
 use crate::arbiter::pool::{ArbiterPool, THREADS_OF_ONE};
 use crate::platform;
+use crate::platform::lock;
 use crate::platform::panics;
 use crate::runtime::reports::FaultReports;
 use blastema_core::ObjectName;
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 /// What became of one call.
@@ -96,10 +97,6 @@ struct Job {
     object: ObjectName,
     run: Box<dyn FnOnce() + Send>,
     outcome: OutcomeFn,
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl ActiveCall {

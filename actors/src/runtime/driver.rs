@@ -12,7 +12,6 @@ use std::task::{self, Poll};
 /// A handler takes its message apart, feeds the machine, and calls
 /// [`drive`](MachineActor::drive).
 pub(crate) trait MachineActor: Actor<Context = Context<Self>> {
-    /// The logic.
     type Machine: Machine;
 
     /// The machine, and the one timer.
@@ -25,7 +24,6 @@ pub(crate) trait MachineActor: Actor<Context = Context<Self>> {
         context: &mut Self::Context,
     );
 
-    /// The machine.
     fn machine(&mut self) -> &mut Self::Machine {
         self.driven().0
     }

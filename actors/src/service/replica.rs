@@ -76,7 +76,6 @@ struct NeverWatched;
 
 impl crate::messaging::death_watch::Watchable for NeverWatched {}
 
-/// The actor.
 pub(crate) struct ReplicaActor {
     carried: Carried,
     machine: Replica,
@@ -312,8 +311,8 @@ impl ReplicaActor {
     }
 
     fn answer_questions(&mut self) {
-        for (question, answer) in std::mem::take(&mut self.questions) {
-            self.answer_question(question, answer);
+        for (question, responder) in std::mem::take(&mut self.questions) {
+            self.answer_question(question, responder);
         }
     }
 
@@ -332,7 +331,7 @@ impl ReplicaActor {
 
     /// Answers a question for the primary: at once if there is one, or if there can be none;
     /// otherwise as soon as one is known.
-    fn answer_question(&mut self, question: WhoServes, answer: Responder<WhoServes>) {
+    fn answer_question(&mut self, question: WhoServes, responder: Responder<WhoServes>) {
         let config = &self.carried.config;
         let primary = self.roster.primary(&self.carried.name, &config.own);
         let primary = primary.map(|node| node.to_string());
@@ -340,14 +339,14 @@ impl ReplicaActor {
         let known = disputed.is_some() || primary.is_some() && primary != question.besides;
         if !known && self.questions.len() >= QUESTIONS_MAX {
             // Drop those whose deadlines have passed.
-            self.questions.retain(|(_, answer)| answer.is_wanted());
+            self.questions.retain(|(_, responder)| responder.is_wanted());
         }
         if !known && self.questions.len() < QUESTIONS_MAX {
-            return self.questions.push_back((question, answer));
+            return self.questions.push_back((question, responder));
         }
         let keeps = config.kind != StandbyKind::Cold;
         let members = config.members.iter().map(NodeName::to_string).collect();
-        answer.give(Serving { primary, epoch: self.epoch(), keeps, members, disputed });
+        responder.give(Serving { primary, epoch: self.epoch(), keeps, members, disputed });
     }
 
     /// Sends the role to the component.
@@ -448,9 +447,9 @@ impl ReplicaActor {
         &mut self,
         from: NodeName,
         ReplicaMessage { message, .. }: ReplicaMessage,
-        answer: Responder<ReplicaMessage>,
+        responder: Responder<ReplicaMessage>,
     ) {
-        answer.give(());
+        responder.give(());
         self.machine.handle_message(&from, &message, platform::now());
     }
 
@@ -459,31 +458,31 @@ impl ReplicaActor {
         &mut self,
         from: NodeName,
         CompareConfiguration { configuration, .. }: CompareConfiguration,
-        answer: Responder<CompareConfiguration>,
+        responder: Responder<CompareConfiguration>,
     ) {
         match self.may_claim(&from) {
             true => self.machine.handle_configuration(&from, &configuration, platform::now()),
             false => self.machine.handle_refused(),
         }
         // The answer says whether this replica serves now.
-        answer.give(self.machine.configuration().into());
+        responder.give(self.machine.configuration().into());
     }
 
     /// Handles a caller's request.
-    fn handle_ask(&mut self, (): (), ask: AskService, answer: Responder<AskService>) {
+    fn handle_ask(&mut self, (): (), ask: AskService, responder: Responder<AskService>) {
         let AskService { sender, sequence, settled, since, task } = ask;
         if matches!(self.machine.role(), Role::Primary { epoch } if epoch < since) {
             // This process has not met the nodes that know of the later epoch.
-            return answer.give(Answered::Elsewhere { primary: None });
+            return responder.give(Answered::Elsewhere { primary: None });
         }
         let mut request = Vec::new();
         if codec::encode_bounded(&task, TASK_MAX, &mut request).is_err() {
             let why = encode_kind(&DeliveryError::TooLarge { limit: TASK_MAX });
-            return answer.give(Answered::Refused { why });
+            return responder.give(Answered::Refused { why });
         }
         self.next_caller += 1;
-        let until = answer.until();
-        self.callers.insert(self.next_caller, answer);
+        let until = responder.until();
+        self.callers.insert(self.next_caller, responder);
         let asked = ServiceRequest {
             caller: self.next_caller,
             id: MessageId { sender, sequence },
@@ -527,8 +526,8 @@ impl MachineActor for ReplicaActor {
             ReplicaOutput::Compare { with } => self.compare(with, context),
             ReplicaOutput::CheckDependencies => self.inquire(context),
             ReplicaOutput::Answer { caller, outcome } => {
-                if let Some(answer) = self.callers.remove(&caller) {
-                    answer.give(match outcome {
+                if let Some(responder) = self.callers.remove(&caller) {
+                    responder.give(match outcome {
                         ServiceOutcome::Served(Ok(reply)) => {
                             Answered::Done { reply: reply.into(), epoch: self.epoch() }
                         }
@@ -611,8 +610,8 @@ fn ports(actor: &Addr<ReplicaActor>) -> SortedMap<&'static str, ContractPort> {
     let questions = port(
         actor,
         |_: &_, _| Some(()),
-        |replica, (), question, answer| {
-            replica.answer_question(question, answer);
+        |replica, (), question, responder| {
+            replica.answer_question(question, responder);
         },
     );
     let ports = [
@@ -631,11 +630,11 @@ fn port<M: Contract, S: 'static>(
     handle: fn(&mut ReplicaActor, S, M, Responder<M>),
 ) -> ContractPort {
     let actor = actor.clone();
-    ContractPort::of_service_fn(ServiceFn::<M>(Arc::new(move |message, origin, answer| {
+    ContractPort::of_service_fn(ServiceFn::<M>(Arc::new(move |message, origin, responder| {
         let step = move |replica: &mut ReplicaActor, _: &mut Context<ReplicaActor>| match sender(
             &message, origin,
         ) {
-            Some(sender) => handle(replica, sender, message, answer),
+            Some(sender) => handle(replica, sender, message, responder),
             None => replica.machine.handle_refused(),
         };
         actor.do_send(ReplicaStep(Box::new(step)));

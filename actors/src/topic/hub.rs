@@ -13,7 +13,7 @@ use crate::liveness::activity::ActivitySlotRef;
 use crate::liveness::label::CONDITION;
 use crate::messaging::queue::{BoundedQueue, Popped, WhenFull};
 use crate::platform;
-use crate::platform::panics::PanicGuard;
+use crate::platform::panics::{self, PanicGuard};
 use blastema_core::sorted::SortedMap;
 use blastema_core::{DeliveryError, Event, Incarnation};
 use std::any::Any;
@@ -102,7 +102,7 @@ pub(super) enum Runs {
     /// The condition of the entry that has its turn, while the component was serving something or
     /// not.
     Condition { beside: bool },
-    /// Its handler.
+    /// The component's handler of the event.
     Handler,
     /// What the publisher wrote of the event, or the middleware.
     Other,
@@ -190,19 +190,12 @@ impl<E: Event> Topic<E> {
 impl<E: Event> Topic<E> {
     /// What the topic keeps, for a listener that joins.
     pub(super) fn kept(&self, latch: &Latch<E>) -> Vec<Posted<E>> {
-        let _guarded = PanicGuard::enter();
-        let kept = catch_unwind(AssertUnwindSafe(|| {
-            let posted = |kept: &Latched<E>| Posted {
-                event: kept.event.clone(),
-                at: kept.at,
-                number: 0, // It is for one entry, which is asked no number.
-            };
-            latch.iter().map(posted).collect()
-        }));
-        kept.unwrap_or_else(|payload| {
-            self.complain(payload);
-            Vec::new()
-        })
+        let posted = |kept: &Latched<E>| Posted {
+            event: kept.event.clone(),
+            at: kept.at,
+            number: 0, // It is for one entry, which is asked no number.
+        };
+        self.guarded(|| latch.iter().map(posted).collect()).unwrap_or_default()
     }
 }
 
@@ -446,7 +439,7 @@ impl<E: Event> Hub<E> {
             Runs::Handler => entry.listener.die_in_service(payload),
             Runs::Other => {
                 if let Some(topic) = self.topic.upgrade() {
-                    topic.complain(payload);
+                    topic.complain(&panics::shown(payload));
                 }
             }
         }

@@ -44,16 +44,13 @@ use crate::component::envelope::{Times, enqueue_time};
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::messaging::message_log;
 use crate::messaging::queue::Pushed;
-use crate::platform::panics::{self, PanicGuard};
-use crate::platform::{self, lock};
+use crate::platform::{self, lock, panics};
 use crate::runtime::reports::FaultReports;
 use blastema_core::contract::codec;
 use blastema_core::{
     DeliveryError, Event, GatherBuffer, Instant, NodeName, ObjectName, PreviousVersion,
 };
 use hub_queue::HubQueue;
-use std::any::Any;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::pin::Pin;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicBool, AtomicU64};
@@ -294,10 +291,8 @@ impl<E: Event> Topic<E> {
 
     /// Adds copies of an event, or says that it panics. To copy it is the publisher's code.
     fn copy(&self, event: &E, wanted: usize, copies: &mut Vec<E>) -> bool {
-        let _guarded = PanicGuard::enter();
         let copy = || copies.extend(std::iter::repeat_n(event, wanted).cloned());
-        let copied = catch_unwind(AssertUnwindSafe(copy));
-        copied.map_err(|payload| self.complain(payload)).is_ok()
+        self.guarded(copy).is_some()
     }
 
     /// Measures the size of an event, for the topic's row.
@@ -376,20 +371,20 @@ impl<E: Event> Topic<E> {
             return;
         }
         for event in events {
-            let _guarded = PanicGuard::enter();
-            if let Err(payload) = catch_unwind(AssertUnwindSafe(|| drop(event))) {
-                self.complain(payload);
-            }
+            let _ = self.guarded(|| drop(event));
         }
+    }
+
+    /// Runs what copies or drops events of this topic: code of the user's.
+    fn guarded<T>(&self, run: impl FnOnce() -> T) -> Option<T> {
+        panics::caught(run).map_err(|why| self.complain(&why)).ok()
     }
 
     /// An event of this topic panicked where it was copied or dropped. Said once.
     #[cold]
-    fn complain(&self, payload: Box<dyn Any + Send>) {
-        let panics::PanicRecord { text, at } = panics::read(payload);
+    fn complain(&self, why: &str) {
         if !self.complained.swap(true, Relaxed) {
-            let contract = E::NAME;
-            let detail = format!("an event {contract} panics in its Clone or Drop at {at}: {text}");
+            let detail = format!("an event {} panics in its Clone or Drop: it {why}", E::NAME);
             self.reports.declare(self.key.topic.as_str(), detail);
         }
     }

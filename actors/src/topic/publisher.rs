@@ -15,8 +15,8 @@ use std::sync::Arc;
 /// incarnation of the component, also when it is moved to a thread or a blocking task: once the
 /// incarnation has ended, [`publish`](Self::publish) fails with
 /// [`DeliveryError::Fenced`](crate::DeliveryError::Fenced).
+#[derive(Clone)]
 pub struct Publisher<E: Event> {
-    topic: Arc<Topic<E>>,
     /// The incarnation that publishes, if it is a component's.
     incarnation: Option<Arc<IncarnationToken>>,
     announced: Arc<Announced<E>>,
@@ -34,27 +34,16 @@ impl<E: Event> Drop for Announced<E> {
     }
 }
 
-impl<E: Event> Clone for Publisher<E> {
-    fn clone(&self) -> Self {
-        Publisher {
-            topic: self.topic.clone(),
-            incarnation: self.incarnation.clone(),
-            announced: self.announced.clone(),
-        }
-    }
-}
-
 impl<E: Event> fmt::Debug for Publisher<E> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Publisher of {} on {}", E::NAME, self.topic.key.topic)
+        write!(f, "Publisher of {} on {}", E::NAME, self.announced.topic.key.topic)
     }
 }
 
 impl<E: Event> Publisher<E> {
     pub(super) fn new(topic: Arc<Topic<E>>, by: &str) -> Self {
         topic.traffic.publishes(by, true);
-        let announced = Arc::new(Announced { topic: topic.clone(), by: by.into() });
-        Publisher { announced, topic, incarnation: None }
+        Publisher { incarnation: None, announced: Arc::new(Announced { topic, by: by.into() }) }
     }
 
     /// The same, for as long as this incarnation of a component lasts.
@@ -90,7 +79,7 @@ impl<E: Event> Publisher<E> {
             return Err(SendError::new(why, event));
         }
         let captured_at = platform::now();
-        let reserved = self.topic.reserve(&event).await;
+        let reserved = self.announced.topic.reserve(&event).await;
         self.publish_reserved(event, Some(captured_at), reserved)
     }
 
@@ -112,7 +101,7 @@ impl<E: Event> Publisher<E> {
         captured_at: Option<Instant>,
     ) -> Result<(), SendError<E>> {
         let reserved = match E::REFUSE_WHEN_FULL {
-            true => self.topic.reserve_now(&event),
+            true => self.announced.topic.reserve_now(&event),
             false => Ok(ReservedForwards::default()),
         };
         match reserved {
@@ -131,7 +120,7 @@ impl<E: Event> Publisher<E> {
         match self.refusal() {
             Some(why) => Err(SendError::new(why, event)),
             None => {
-                self.topic.publish(event, captured_at, &self.announced.by, reserved);
+                self.announced.topic.publish(event, captured_at, &self.announced.by, reserved);
                 Ok(())
             }
         }
@@ -142,7 +131,7 @@ impl<E: Event> Publisher<E> {
         // A component ends before its node.
         let ended = || match &self.incarnation {
             Some(incarnation) => incarnation.forbidden(),
-            None => self.topic.shut_down(),
+            None => self.announced.topic.shut_down(),
         };
         heartbeat::send_refusal().or_else(ended)
     }
@@ -151,20 +140,20 @@ impl<E: Event> Publisher<E> {
     /// the topic's name.
     pub(crate) fn publish_or_count(&self, event: E, captured_at: Option<Instant>) {
         if let Err(refused) = self.publish_stamped(event, captured_at) {
-            self.topic.record_dead_letter(&refused.kind);
+            self.announced.topic.record_dead_letter(&refused.kind);
         }
     }
 
     /// Returns the number of listeners that an event would reach now: those of this node,
     /// regardless of their conditions, and one for each other node that has listeners.
     pub fn matched(&self) -> usize {
-        *self.topic.matched.borrow()
+        *self.announced.topic.matched.borrow()
     }
 
     /// Waits until an event would reach at least so many listeners, as [`matched`](Self::matched)
     /// counts them.
     pub async fn matched_at_least(&self, listeners: usize) {
-        let mut matched = self.topic.matched.subscribe();
+        let mut matched = self.announced.topic.matched.subscribe();
         // The topic lives as long as this publisher.
         let _ = matched.wait_for(|matched| *matched >= listeners).await;
     }

@@ -8,10 +8,9 @@ use crate::component::cell::ComponentCell;
 use crate::component::environment::ComponentEnvironment;
 use crate::component::subscription::Subscription;
 use crate::component::{Component, Handle};
-use crate::platform::panics::PanicGuard;
 use blastema_core::{DeliveryError, Event, Incarnation, ObjectName};
 use std::cell::{Cell, RefCell};
-use std::panic::{AssertUnwindSafe, Location, catch_unwind};
+use std::panic::Location;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex};
@@ -24,7 +23,7 @@ pub(crate) struct TopicSubscription<E: Event> {
     at: &'static Location<'static>,
     /// The number of the entry that is served now; 0 for none.
     present: Arc<AtomicU64>,
-    /// Its hub.
+    /// The hub that serves the attached incarnation; `None` while none is attached.
     hub: Mutex<Option<At<E>>>,
 }
 
@@ -74,16 +73,12 @@ impl<C: Handle<E>, E: Event> Subscription<C> for TopicSubscription<E> {
             Some(At { queue, since }) => {
                 let is_undecided = Cell::new(false);
                 let leftover = || queue.leftover(*since, leave, &is_undecided);
-                let guarded = PanicGuard::enter();
-                let left = catch_unwind(AssertUnwindSafe(leftover));
-                drop(guarded);
+                let left = self.topic.guarded(leftover).unwrap_or_default();
                 if is_undecided.get() {
+                    // The incarnation before this one decided on it when it died.
                     lose_undecided::<C, E>(cell, cell.record.incarnation().0.saturating_sub(1));
                 }
-                left.unwrap_or_else(|payload| {
-                    self.topic.complain(payload);
-                    Vec::new()
-                })
+                left
             }
             None => {
                 leave();

@@ -37,7 +37,7 @@ impl fmt::Display for Naming {
 
 struct TopicEntry {
     naming: Naming,
-    /// A `Topic<E>`.
+    /// A `Topic<E>` of the topic's contract `E`.
     typed: Arc<dyn Any + Send + Sync>,
     erased: Arc<dyn AnyTopic>,
 }

@@ -23,14 +23,12 @@ impl<E> Default for TopicTaps<E> {
 }
 
 impl<E> TopicTaps<E> {
-    /// Adds one.
     pub(super) fn add(&self, tap: TopicTap<E>) {
         let mut all = lock(&self.all);
         *all = all.iter().cloned().chain([tap]).collect();
         self.any.store(true, Relaxed);
     }
 
-    /// Removes it.
     pub(super) fn remove(&self, tap: &TopicTap<E>) {
         let mut all = lock(&self.all);
         *all = all.iter().filter(|known| !Arc::ptr_eq(known, tap)).cloned().collect();

@@ -6,6 +6,7 @@ use super::hub_queue::Posted;
 use super::*;
 use blastema_core::ContractIdentity;
 use blastema_doubles::{paused, settle};
+use std::any::Any;
 use std::cell::{Cell, RefCell};
 use std::panic::Location;
 use std::rc::Rc;

@@ -70,8 +70,8 @@ struct Shown {
     /// The window that began last: when, and after how many events.
     window: (Instant, u64),
     rate_hz: f64,
-    /// The events, and those that were lost, as they were looked at last.
-    looked: [u64; 2],
+    /// The events, and those that were lost, as they were sampled last.
+    sampled: [u64; 2],
 }
 
 fn count<K: Ord>(counts: &mut SortedMap<K, usize>, key: K, more: bool) {
@@ -98,7 +98,7 @@ impl Traffic {
                 listeners: SortedMap::new(),
                 window: (now, 0),
                 rate_hz: 0.0,
-                looked: [0; 2],
+                sampled: [0; 2],
             }),
         }
     }
@@ -117,7 +117,7 @@ impl Traffic {
     /// The events since the last call, and how many times one of them was lost.
     pub(super) fn take_losses(&self) -> [u64; 2] {
         let counts = [&self.events, &self.lost].map(|count| count.load(Relaxed));
-        let before = std::mem::replace(&mut lock(&self.shown).looked, counts);
+        let before = std::mem::replace(&mut lock(&self.shown).sampled, counts);
         [counts[0] - before[0], counts[1] - before[1]]
     }
 

@@ -1,9 +1,9 @@
 //! How variables are asked for, in this process and from other nodes alike.
 
 use super::RestoreDecision;
-use crate::messaging::error::encode_kind;
+use crate::registry::encoding::OtherContract;
+use blastema_core::ObjectName;
 use blastema_core::variables::{ValueReport, ValueState};
-use blastema_core::{DeliveryError, ObjectName};
 use blastema_macros::{Request, Structure};
 use std::time::Duration;
 
@@ -12,15 +12,24 @@ use std::time::Duration;
 #[contract(
     crate = "crate",
     name = "blastema/variables",
-    version = 3,
-    reply = VariableReply,
+    version = 4,
+    reply = Result<VariableAnswer, OtherContract>,
     max_size = 1024 * 1024
 )]
 pub(crate) enum VariableRequest {
-    Read { variable: VariableSelector },
-    Watch { variable: VariableSelector, after: u64 },
-    Write { writes: Vec<WriteEntry> },
-    Choose { variable: VariableSelector, choice: RestoreDecision<Vec<u8>> },
+    Read {
+        variable: VariableSelector,
+    },
+    Watch {
+        variable: VariableSelector,
+        after: u64,
+    },
+    /// The values decide what becomes of variables that await it, or none of them does. The answer
+    /// to a write has the new revision, and no value.
+    Write {
+        writes: Vec<WriteEntry>,
+        decides: bool,
+    },
 }
 
 /// A variable, and what its value is taken for.
@@ -37,39 +46,23 @@ pub(crate) struct VariableSelector {
 #[contract(crate = "crate")]
 pub(crate) struct WriteEntry {
     pub(crate) variable: VariableSelector,
-    pub(crate) value: Vec<u8>,
+    pub(crate) value: RestoreDecision<Vec<u8>>,
     pub(crate) if_revision: Option<u64>,
 }
 
-/// What came of it.
+/// A variable as it stands; of a write, its revision only.
 #[derive(Clone, Debug, Structure)]
 #[contract(crate = "crate")]
-pub(crate) enum VariableReply {
-    Value {
-        value: Vec<u8>,
-        revision: u64,
-        state: ValueState,
-        age: Duration,
-    },
-    Revision(u64),
-    /// The contract is another one here: this.
-    Differs {
-        identity: Vec<u8>,
-    },
-    Refused {
-        why: Vec<u8>,
-    },
+pub(crate) struct VariableAnswer {
+    pub(crate) value: Vec<u8>,
+    pub(crate) revision: u64,
+    pub(crate) state: ValueState,
+    pub(crate) age: Duration,
 }
 
-impl VariableReply {
-    pub(crate) fn refused(why: &DeliveryError) -> Self {
-        VariableReply::Refused { why: encode_kind(why) }
-    }
-}
-
-impl From<ValueReport> for VariableReply {
+impl From<ValueReport> for VariableAnswer {
     fn from(ValueReport { value, revision, state, age }: ValueReport) -> Self {
-        VariableReply::Value { value: value.into(), revision, state, age }
+        VariableAnswer { value: value.into(), revision, state, age }
     }
 }
 

@@ -7,9 +7,9 @@
 //! The whole file is replaced: whatever ends the process, or the power, leaves the old file or the
 //! new one.
 
-use crate::platform;
 use crate::platform::file_lock::{FileLock, beside};
 use crate::platform::replace_file::replace_file;
+use crate::platform::{self, lock};
 use blastema_core::DeliveryError;
 use blastema_core::contract::codec;
 use blastema_core::variables::PersistedValue;
@@ -91,7 +91,7 @@ struct Order {
 
 impl Shared {
     fn lock(&self) -> MutexGuard<'_, Order> {
-        self.order.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.order)
     }
 }
 

@@ -17,14 +17,13 @@ pub use blastema_core::variables::{RestorePolicy, ValueState};
 
 pub(crate) use store::{DeclaredVariable, VariableStore, declared};
 
-use crate::messaging::error::decode_kind;
 use crate::messaging::sender::Sender;
 use crate::registry::Registry;
-use crate::registry::encoding::{differs, encoded};
-use access::{VariableReply, VariableRequest, VariableSelector, WATCH_WITHIN, WriteEntry};
+use crate::registry::encoding::encoded;
+use access::{VariableAnswer, VariableRequest, VariableSelector, WATCH_WITHIN, WriteEntry};
 use blastema_core::contract::codec;
 use blastema_core::{
-    ContractIdentity, DeliveryError, NodeName, ObjectAddress, ObjectName, PeerIdentity, Variable,
+    ContractIdentity, DeliveryError, NodeName, ObjectAddress, ObjectName, Variable,
 };
 use blastema_macros::Structure;
 use std::fmt;
@@ -81,7 +80,7 @@ impl<V: Variable> fmt::Debug for VariableSpec<V> {
 /// A value, and how it stands.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Reading<V> {
-    /// The value.
+    /// The value at the time of the reading.
     pub value: V,
     /// Of which change. It rises with every change, also over restarts of the owner and its node.
     pub revision: u64,
@@ -97,25 +96,19 @@ pub struct Reading<V> {
 pub enum RestoreDecision<V> {
     /// The value from before.
     Restore,
-    /// The default.
+    /// The default of the variable.
     Default,
-    /// This one.
+    /// The given value, in place of both.
     Value(V),
 }
 
 /// A variable of an object, here or on another node alike. It outlives restarts of both.
+#[derive(Clone)]
 pub struct VariableRef<V: Variable> {
     sender: Sender<VariableRequest>,
     node: Option<NodeName>,
     object: ObjectName,
     value: PhantomData<fn() -> V>,
-}
-
-impl<V: Variable> Clone for VariableRef<V> {
-    fn clone(&self) -> Self {
-        let (sender, node) = (self.sender.clone(), self.node.clone());
-        VariableRef { sender, node, object: self.object.clone(), value: PhantomData }
-    }
 }
 
 impl<V: Variable> fmt::Debug for VariableRef<V> {
@@ -160,31 +153,18 @@ impl<V: Variable> VariableRef<V> {
         VariableSelector { object: self.object.clone(), identity }
     }
 
-    async fn ask(
-        &self,
-        access: VariableRequest,
-        within: Duration,
-    ) -> Result<VariableReply, DeliveryError> {
-        let asked = self.sender.ask_within(access, within).await;
-        match asked.map_err(|error| none_at_all::<V>(error.kind))? {
-            VariableReply::Differs { identity } => Err(differs::<V>(&identity, "owner")),
-            reply => Ok(reply),
-        }
+    async fn ask(&self, access: VariableRequest) -> Result<VariableAnswer, DeliveryError> {
+        let asked = self.sender.ask_within(access, WATCH_WITHIN).await;
+        asked
+            .map_err(|error| none_at_all::<V>(error.kind))?
+            .map_err(|other| other.difference::<V>("owner"))
     }
 
-    async fn ask_for_value(
-        &self,
-        access: VariableRequest,
-        within: Duration,
-    ) -> Result<Reading<V>, DeliveryError> {
-        match self.ask(access, within).await? {
-            VariableReply::Value { value, revision, state, age } => {
-                let value = codec::decode::<V>(&value)
-                    .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })?;
-                Ok(Reading { value, revision, state, age })
-            }
-            other => Err(odd(other)),
-        }
+    async fn ask_for_value(&self, access: VariableRequest) -> Result<Reading<V>, DeliveryError> {
+        let VariableAnswer { value, revision, state, age } = self.ask(access).await?;
+        let value = codec::decode::<V>(&value)
+            .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })?;
+        Ok(Reading { value, revision, state, age })
     }
 
     /// Returns the value.
@@ -194,7 +174,7 @@ impl<V: Variable> VariableRef<V> {
     /// [`DeliveryError::ContractDiffers`] where it is another one, [`DeliveryError::Undecided`]
     /// while a decision is awaited; from other nodes, also the errors of any request.
     pub async fn read(&self) -> Result<Reading<V>, DeliveryError> {
-        self.ask_for_value(VariableRequest::Read { variable: self.wanted() }, WATCH_WITHIN).await
+        self.ask_for_value(VariableRequest::Read { variable: self.wanted() }).await
     }
 
     /// Writes a value. Returns its revision.
@@ -220,16 +200,14 @@ impl<V: Variable> VariableRef<V> {
     /// As [`write`](Self::write), and [`DeliveryError::Changed`] where no decision is awaited any
     /// more.
     pub async fn decide(&self, decision: RestoreDecision<V>) -> Result<u64, DeliveryError> {
-        let choice = match decision {
+        let value = match decision {
             RestoreDecision::Restore => RestoreDecision::Restore,
             RestoreDecision::Default => RestoreDecision::Default,
             RestoreDecision::Value(value) => RestoreDecision::Value(encoded(&value)?),
         };
-        let access = VariableRequest::Choose { variable: self.wanted(), choice };
-        match self.ask(access, WATCH_WITHIN).await? {
-            VariableReply::Revision(revision) => Ok(revision),
-            other => Err(odd(other)),
-        }
+        let writes = vec![WriteEntry { variable: self.wanted(), value, if_revision: None }];
+        let access = VariableRequest::Write { writes, decides: true };
+        self.ask(access).await.map(|report| report.revision)
     }
 
     /// Follows the variable: first its present value, then every change. Of several changes in one
@@ -261,7 +239,7 @@ impl<V: Variable> VariableWatch<V> {
         loop {
             let variable = self.variable.wanted();
             let access = VariableRequest::Watch { variable, after: self.seen };
-            match self.variable.ask_for_value(access, WATCH_WITHIN).await {
+            match self.variable.ask_for_value(access).await {
                 // Nothing has changed: we are still here.
                 Err(DeliveryError::DeadlinePassed) => {}
                 Ok(reading) => {
@@ -342,7 +320,8 @@ impl Transaction {
         }
         match encoded(value) {
             Ok(value) => {
-                self.writes.push(WriteEntry { variable: variable.wanted(), value, if_revision });
+                let (variable, value) = (variable.wanted(), RestoreDecision::Value(value));
+                self.writes.push(WriteEntry { variable, value, if_revision });
             }
             Err(why) => {
                 self.wrong.get_or_insert(why);
@@ -363,28 +342,12 @@ impl Transaction {
         let Some((sender, _)) = self.target else {
             return Err(DeliveryError::CheckFailed { reason: "nothing is to be written".into() });
         };
-        let asked =
-            sender.ask_within(VariableRequest::Write { writes: self.writes }, WATCH_WITHIN).await;
-        match asked.map_err(|error| error.kind)? {
-            VariableReply::Revision(revision) => Ok(revision),
-            VariableReply::Differs { identity } => {
-                let name = PeerIdentity::decode(&identity).map(|known| known.name);
-                let name = name.unwrap_or_default();
-                let difference = format!("{name} is another one there: read it to see how");
-                Err(DeliveryError::ContractDiffers { difference })
-            }
-            other => Err(odd(other)),
-        }
-    }
-}
-
-/// What is no answer to what was asked, but may say why there is none.
-fn odd(reply: VariableReply) -> DeliveryError {
-    match reply {
-        VariableReply::Refused { why } => decode_kind(&why),
-        other => {
-            let reason = format!("an answer to another question: {other:?}");
-            DeliveryError::Undecodable { reason }
-        }
+        let access = VariableRequest::Write { writes: self.writes, decides: false };
+        let asked = sender.ask_within(access, WATCH_WITHIN).await;
+        let written = asked.map_err(|error| error.kind)?.map_err(|other| {
+            let difference = format!("{} is another one there: read it to see how", other.name());
+            DeliveryError::ContractDiffers { difference }
+        });
+        written.map(|report| report.revision)
     }
 }

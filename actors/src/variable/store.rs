@@ -1,35 +1,34 @@
-//! The node's variables: the body of the machine in the core.
+//! The variables of a node: drives the machine in the core.
 
 use super::RestoreDecision;
-use super::access::{VariableReply, VariableRequest, VariableSelector, WriteEntry};
+use super::access::{VariableAnswer, VariableRequest, VariableSelector, WriteEntry};
 use super::kept_file::{self, LoadError, PersistenceFile, WriteDone};
 use crate::messaging::death_watch::{DownReason, Watcher};
 use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::reply::Responder;
-use crate::platform;
 use crate::platform::file_lock::FileLock;
-use crate::platform::panics;
-use crate::platform::panics::PanicGuard;
+use crate::platform::{self, lock, panics};
 use crate::registry::access::{AccessControl, AccessWish, MessageOrigin};
-use crate::registry::encoding::encoded;
+use crate::registry::encoding::{RequestRefusal, encoded, named_contract};
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, Registry};
 use blastema_core::contract::codec;
 use blastema_core::sorted::SortedMap;
 use blastema_core::variables::{
-    PersistedValue, RestorePolicy, ValueWrite, VariableDeclaration, VariableKey, Variables,
+    PersistedValue, RestorePolicy, ValueState, ValueWrite, VariableDeclaration, VariableKey,
+    Variables,
 };
 use blastema_core::{ContractIdentity, DeliveryError, ObjectName, PeerIdentity, Variable};
 use bytes::Bytes;
 use std::io;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::Duration;
 
 /// Says whether bytes are a value that the owner takes.
 type Check = Arc<dyn Fn(&[u8]) -> Result<(), DeliveryError> + Send + Sync>;
-/// Told of each new value.
-pub(crate) type ValueObserver = Arc<dyn Fn(&[u8]) + Send + Sync>;
+/// Told that there is a new value.
+pub(crate) type ValueObserver = Arc<dyn Fn() + Send + Sync>;
 /// Says whether the caller may still have the value.
 type Permit = Box<dyn Fn() -> Result<(), DeliveryError> + Send>;
 
@@ -37,7 +36,7 @@ type Permit = Box<dyn Fn() -> Result<(), DeliveryError> + Send>;
 /// may have taken it away.
 struct WaitingWatch {
     permit: Permit,
-    answer: Responder<VariableRequest>,
+    reply: Responder<VariableRequest>,
 }
 
 /// The name of a variable's contract, and the variable as a component declares it, without its
@@ -45,8 +44,8 @@ struct WaitingWatch {
 pub(crate) type DeclaredVariable =
     (&'static str, Result<VariableDeclaration<VariableFacts>, DeliveryError>);
 
-/// A variable for which `check` has a reason to refuse some values. The observer is called with
-/// each written value, on the writer's thread.
+/// A variable for which `check` has a reason to refuse some values. The observer is called after
+/// each write, on the writer's thread.
 pub(crate) fn declared<V: Variable>(
     default: &V,
     policy: RestorePolicy,
@@ -56,14 +55,8 @@ pub(crate) fn declared<V: Variable>(
     let check = move |bytes: &[u8]| {
         let value = codec::decode::<V>(bytes)
             .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })?;
-        let _guarded = PanicGuard::enter();
-        let checked = catch_unwind(AssertUnwindSafe(|| check(&value)));
-        let reason = match checked {
-            Ok(Ok(())) => return Ok(()),
-            Ok(Err(reason)) => reason,
-            Err(payload) => format!("it panicked: {}", panics::read(payload).text),
-        };
-        Err(DeliveryError::CheckFailed { reason })
+        let checked = panics::caught(|| check(&value)).map_err(|why| format!("it {why}"));
+        checked.flatten().map_err(|reason| DeliveryError::CheckFailed { reason })
     };
     let default = encoded(default).and_then(|bytes| check(&bytes).map(|()| bytes.into()));
     let facts =
@@ -116,15 +109,6 @@ impl Inner {
         }
     }
 
-    /// The new values of these variables, and who is told of them.
-    fn observed(&self, variables: &[VariableKey]) -> Vec<(ValueObserver, Bytes)> {
-        let observed = |key: &VariableKey| {
-            let observer = self.machine.declaration(key)?.facts.observer.clone()?;
-            Some((observer, self.machine.read(key, platform::now()).ok()?.value))
-        };
-        variables.iter().filter_map(observed).collect()
-    }
-
     /// All that the next process is to find.
     fn worth_keeping(&self) -> Vec<PersistedValue> {
         let present = self.machine.kept().map(|(variable, facts, value)| {
@@ -151,10 +135,9 @@ fn may(
         VariableRequest::Read { variable } | VariableRequest::Watch { variable, .. } => {
             check(AccessWish::Read, variable)
         }
-        VariableRequest::Write { writes } => {
+        VariableRequest::Write { writes, .. } => {
             writes.iter().try_for_each(|write| check(AccessWish::Write, &write.variable))
         }
-        VariableRequest::Choose { variable, .. } => check(AccessWish::Write, variable),
     }
 }
 
@@ -178,7 +161,7 @@ impl Default for VariableStore {
 
 impl VariableStore {
     fn lock(&self) -> MutexGuard<'_, Inner> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.0)
     }
 
     /// Takes values from this file, and keeps them there from now on; called before anything is
@@ -240,19 +223,16 @@ impl VariableStore {
         let isolated = DeliveryError::isolated(object);
         let serve = move |access: VariableRequest,
                           from: MessageOrigin,
-                          answer: Responder<VariableRequest>| {
+                          reply: Responder<VariableRequest>| {
             let permitted = match is_isolated() {
                 true => Err(isolated.clone()),
                 false => may(&rights, from, &access),
             };
-            match permitted {
-                Ok(()) => {
-                    let (rights, asked) = (rights.clone(), access.clone());
-                    let permit = Box::new(move || may(&rights, from, &asked));
-                    store.serve(access, permit, answer);
-                }
-                Err(why) => answer.give(VariableReply::refused(&why)),
+            if let Err(why) = permitted {
+                return reply.refuse(why, None);
             }
+            let (rights, asked) = (rights.clone(), access.clone());
+            store.serve(access, Box::new(move || may(&rights, from, &asked)), reply);
         };
         Ok(ContractPort::of_service_fn(ServiceFn::<VariableRequest>(Arc::new(serve))))
     }
@@ -264,7 +244,7 @@ impl VariableStore {
             if !matches!(down.ending, DownReason::NotAlive | DownReason::Unknown) {
                 let mut inner = store.lock();
                 inner.machine.handle_owner_ended(&of, platform::now());
-                store.answer(inner);
+                tell_watchers(inner);
             }
         };
         let who = ObjectName::new("blastema/variables").expect("a name of letters");
@@ -284,47 +264,32 @@ impl VariableStore {
             inner.kept.extend(left);
         }
         inner.machine.handle_withdrawn(object);
-        self.answer(inner);
+        tell_watchers(inner);
     }
 
-    fn serve(&self, access: VariableRequest, permit: Permit, answer: Responder<VariableRequest>) {
-        let now = platform::now();
-        let accessed = match access {
-            VariableRequest::Read { variable } => self.find(&variable).and_then(|(key, _)| {
-                let report = self.lock().machine.read(&key, now);
-                report.map(VariableReply::from).map_err(|why| VariableReply::refused(&why))
-            }),
+    fn serve(&self, access: VariableRequest, permit: Permit, reply: Responder<VariableRequest>) {
+        match access {
+            VariableRequest::Read { variable } => {
+                let read = |(key, _)| Ok(self.lock().machine.read(&key, platform::now())?.into());
+                reply.settle(self.find(&variable).and_then(read));
+            }
             VariableRequest::Watch { variable, after } => match self.find(&variable) {
-                Ok((key, _)) => return self.watch(key, after, WaitingWatch { permit, answer }),
-                Err(refused) => Err(refused),
+                Ok((key, _)) => self.watch(key, after, WaitingWatch { permit, reply }),
+                Err(refusal) => reply.settle(Err(refusal)),
             },
-            VariableRequest::Write { writes } => match self.checked(writes) {
-                Ok(writes) => {
-                    let written = writes.iter().map(|write| write.variable.clone()).collect();
-                    let write = |machine: &mut Variables<_, _>| machine.handle_write(writes, now);
-                    return self.change(written, write, answer);
-                }
-                Err(refused) => Err(refused),
+            VariableRequest::Write { writes, decides } => match self.checked(writes) {
+                Ok(writes) => self.write(writes, decides, reply),
+                Err(refusal) => reply.settle(Err(refusal)),
             },
-            VariableRequest::Choose { variable, choice } => match self.chosen(&variable, choice) {
-                Ok((key, value)) => {
-                    let chosen = vec![key.clone()];
-                    let choose =
-                        |machine: &mut Variables<_, _>| machine.handle_choice(&key, value, now);
-                    return self.change(chosen, choose, answer);
-                }
-                Err(refused) => Err(refused),
-            },
-        };
-        answer.give(accessed.unwrap_or_else(|refused| refused));
+        }
     }
 
     fn watch(&self, variable: VariableKey, after: u64, waiting: WaitingWatch) {
         let mut inner = self.lock();
         // Those whose incarnation has ended went without a word.
-        inner.machine.retain_watchers(|waiting| waiting.answer.is_wanted());
+        inner.machine.retain_watchers(|waiting| waiting.reply.is_wanted());
         inner.machine.handle_watch(waiting, variable, after, platform::now());
-        self.answer(inner);
+        tell_watchers(inner);
     }
 
     /// How many wait for a change.
@@ -333,40 +298,38 @@ impl VariableStore {
         self.lock().machine.watchers()
     }
 
-    /// Changes values. With a file, the caller is answered when they are on the disk.
-    fn change(
-        &self,
-        variables: Vec<VariableKey>,
-        change: impl FnOnce(&mut Variables<VariableFacts, WaitingWatch>) -> Result<u64, DeliveryError>,
-        answer: Responder<VariableRequest>,
-    ) {
-        let mut inner = self.lock();
-        if let Some(Err(why)) = inner.file.as_ref().map(PersistenceFile::check) {
-            drop(inner);
-            return answer.give(VariableReply::refused(&why));
-        }
-        let changed = change(&mut inner.machine);
-        let observed = changed.as_ref().map(|_| inner.observed(&variables)).unwrap_or_default();
-        let replies = match (changed, &inner.file) {
-            (Ok(revision), Some(file)) => {
-                let then: WriteDone = Box::new(move |kept| {
-                    answer.give(match kept {
-                        Ok(()) => VariableReply::Revision(revision),
-                        Err(reason) => VariableReply::refused(&DeliveryError::NotKept { reason }),
-                    });
-                });
-                // Under the lock: a later file has all that an earlier one has.
-                file.keep(inner.worth_keeping(), then);
+    /// Writes values. With a file, the caller is answered when they are on the disk.
+    fn write(&self, writes: Vec<ValueWrite>, decides: bool, reply: Responder<VariableRequest>) {
+        let (mut inner, now) = (self.lock(), platform::now());
+        let declared = |write: &ValueWrite| inner.machine.declaration(&write.variable);
+        let observers = writes.iter().filter_map(|write| declared(write)?.facts.observer.clone());
+        let observers: Vec<_> = observers.collect();
+        let has_space = inner.file.as_ref().map_or(Ok(()), PersistenceFile::check);
+        let written = has_space.and_then(|()| inner.machine.handle_write(writes, decides, now));
+        let revision = match written {
+            Ok(revision) => revision,
+            Err(why) => {
+                drop(inner);
+                return reply.refuse(why, None);
+            }
+        };
+        let (state, age) = (ValueState::Current, Duration::ZERO);
+        let report = VariableAnswer { value: Vec::new(), revision, state, age };
+        let done: WriteDone = Box::new(move |kept| match kept {
+            Ok(()) => reply.give(Ok(report)),
+            Err(reason) => reply.refuse(DeliveryError::NotKept { reason }, None),
+        });
+        let done = match &inner.file {
+            // Under the lock: a later file has all that an earlier one has.
+            Some(file) => {
+                file.keep(inner.worth_keeping(), done);
                 None
             }
-            (Ok(revision), None) => Some((answer, VariableReply::Revision(revision))),
-            (Err(why), _) => Some((answer, VariableReply::refused(&why))),
+            None => Some(done),
         };
-        self.answer(inner);
-        observed.into_iter().for_each(|(observer, value)| observer(&value));
-        if let Some((answer, accessed)) = replies {
-            answer.give(accessed);
-        }
+        tell_watchers(inner);
+        observers.into_iter().for_each(|observer| observer());
+        done.into_iter().for_each(|done| done(Ok(())));
     }
 
     /// The value of a variable of this object, as it is now.
@@ -379,30 +342,19 @@ impl VariableStore {
         inner.machine.read(&key, platform::now()).map(|report| report.value)
     }
 
-    /// The value that is decided on; `None` for the one from before.
-    fn chosen(
-        &self,
-        wanted: &VariableSelector,
-        choice: RestoreDecision<Vec<u8>>,
-    ) -> Result<(VariableKey, Option<Bytes>), VariableReply> {
-        let (key, VariableDeclaration { default, facts, .. }) = self.find(wanted)?;
-        let value = match choice {
-            RestoreDecision::Restore => None,
-            RestoreDecision::Default => Some(default),
-            RestoreDecision::Value(value) => {
-                (facts.check)(&value).map_err(|why| VariableReply::refused(&why))?;
-                Some(value.into())
-            }
-        };
-        Ok((key, value))
-    }
-
-    fn checked(&self, writes: Vec<WriteEntry>) -> Result<Vec<ValueWrite>, VariableReply> {
+    fn checked(&self, writes: Vec<WriteEntry>) -> Result<Vec<ValueWrite>, RequestRefusal> {
         let mut checked = Vec::new();
         for WriteEntry { variable, value, if_revision } in writes {
-            let (variable, VariableDeclaration { facts, .. }) = self.find(&variable)?;
-            (facts.check)(&value).map_err(|why| VariableReply::refused(&why))?;
-            checked.push(ValueWrite { variable, value: value.into(), if_revision });
+            let (variable, VariableDeclaration { facts, default, .. }) = self.find(&variable)?;
+            let value = match value {
+                RestoreDecision::Restore => None,
+                RestoreDecision::Default => Some(default),
+                RestoreDecision::Value(value) => {
+                    (facts.check)(&value)?;
+                    Some(value.into())
+                }
+            };
+            checked.push(ValueWrite { variable, value, if_revision });
         }
         Ok(checked)
     }
@@ -411,30 +363,24 @@ impl VariableStore {
     fn find(
         &self,
         wanted: &VariableSelector,
-    ) -> Result<(VariableKey, VariableDeclaration<VariableFacts>), VariableReply> {
-        let theirs = PeerIdentity::decode(&wanted.identity).map_err(|error| {
-            VariableReply::refused(&DeliveryError::Undecodable { reason: error.to_string() })
-        })?;
+    ) -> Result<(VariableKey, VariableDeclaration<VariableFacts>), RequestRefusal> {
+        let theirs = named_contract(&wanted.identity)?;
         let key = (wanted.object.clone(), theirs.name.clone());
         let inner = self.lock();
         let known = inner.machine.declaration(&key).cloned();
-        let known = known.ok_or_else(|| VariableReply::refused(&inner.no_variable(&key)))?;
+        let known = known.ok_or_else(|| inner.no_variable(&key))?;
         drop(inner);
-        let identity = &known.facts.identity;
-        match identity.check(&theirs) {
-            Ok(()) => Ok((key, known)),
-            Err(_) => Err(VariableReply::Differs { identity: identity.full().encode() }),
-        }
+        RequestRefusal::check(&known.facts.identity, &theirs)?;
+        Ok((key, known))
     }
+}
 
-    /// Tells the watchers what the machine wants them told, outside of the lock.
-    fn answer(&self, mut inner: MutexGuard<'_, Inner>) {
-        let reports: Vec<_> = std::iter::from_fn(|| inner.machine.poll_output()).collect();
-        drop(inner);
-        for (WaitingWatch { permit, answer }, result) in reports {
-            let accessed = permit().and(result).map(VariableReply::from);
-            answer.give(accessed.unwrap_or_else(|why| VariableReply::refused(&why)));
-        }
+/// Tells the watchers what the machine wants them told, outside of the lock.
+fn tell_watchers(mut inner: MutexGuard<'_, Inner>) {
+    let reports: Vec<_> = std::iter::from_fn(|| inner.machine.poll_output()).collect();
+    drop(inner);
+    for (WaitingWatch { permit, reply }, result) in reports {
+        reply.settle(permit().and(result).map(VariableAnswer::from).map_err(RequestRefusal::Why));
     }
 }
 
@@ -442,7 +388,6 @@ impl VariableStore {
 mod tests {
     use super::*;
     use crate::registry::MessageMetadata;
-    use crate::variable::access::VariableReply;
     use blastema_core::Contract;
     use blastema_core::NodeName;
     use blastema_core::net::NodeId;
@@ -494,29 +439,29 @@ mod tests {
             move || {
                 let reply: Option<Result<blastema_core::GatherBuffer, DeliveryError>> =
                     answered.lock().unwrap().take();
-                let bytes = reply?.unwrap().into_bytes();
-                Some(codec::decode_reply::<VariableRequest>(&bytes).unwrap())
+                let bytes = reply.expect("it is answered")?.into_bytes();
+                Ok(codec::decode_reply::<VariableRequest>(&bytes).unwrap().unwrap().revision)
             }
         };
         let write = |value| {
             let variable = (wheels.clone(), Limit::NAME.to_owned());
             let value = encoded(&Limit(value)).unwrap().into();
             let mut inner = store.lock();
-            let write = ValueWrite { variable, value, if_revision: None };
-            inner.machine.handle_write(vec![write], platform::now()).unwrap();
-            store.answer(inner);
+            let write = ValueWrite { variable, value: Some(value), if_revision: None };
+            inner.machine.handle_write(vec![write], false, platform::now()).unwrap();
+            tell_watchers(inner);
         };
         rights.replace(only("arm"));
-        let Some(VariableReply::Value { revision, .. }) = watch(0)() else { panic!("it may") };
+        let revision = watch(0)().unwrap();
 
         let answer = watch(revision);
         write(2);
-        let Some(VariableReply::Value { revision, .. }) = answer() else { panic!("it may") };
+        let revision = answer().unwrap();
 
         let answer = watch(revision);
         rights.replace(only("base"));
         write(3);
-        assert!(matches!(answer(), Some(VariableReply::Refused { .. })));
+        assert!(matches!(answer(), Err(DeliveryError::Forbidden { .. })));
         assert_eq!(rights.refusals().len(), 1);
     }
 }

@@ -5,7 +5,7 @@ use actix::{Message, Recipient};
 use blastema_core::{Incarnation, ObjectName};
 use std::sync::Arc;
 
-pub use blastema_core::recovery::RestartGrant;
+pub use blastema_core::recovery::{ChildOrder, RestartGrant};
 
 /// What a supervisor may do with a child: a component, or a supervisor below it.
 ///
@@ -25,36 +25,10 @@ pub trait Child: Send {
         report: Arc<Recipient<ChildReport>>,
     ) -> Incarnation;
 
-    /// Asks the present incarnation to end in order. Answer: [`ChildEvent::Stopped`]. A child that
-    /// is not alive answers at once.
-    fn stop(&mut self);
-
-    /// Asks the present incarnation to end in order because another is to follow: what waits for
-    /// the child goes on waiting. Answer: [`ChildEvent::Stopped`].
-    fn make_way(&mut self) {
-        self.stop();
-    }
-
-    /// The present incarnation is about to be asked to end, and a supervisor starts nothing any
-    /// more. No answer.
-    fn expect_end(&mut self) {}
-
-    /// The child has no incarnation that works, and none is to follow: what waits for it is given
-    /// back, and one whose start has failed is given up with its last hooks. No answer. The next
-    /// [`start`](Child::start) takes it up again.
-    fn retire(&mut self) {}
-
-    /// Gives the present incarnation up without asking it: its queue is taken away, what it still
-    /// says goes nowhere. No answer. The next [`start`](Child::start) finds another place for the
-    /// child if the old one is stuck.
-    fn abandon(&mut self);
-
-    /// The same with an incarnation that has had its time to start, or to end. Says whether it
-    /// keeps its thread; that is reported then.
-    fn cut_off(&mut self) -> bool {
-        self.abandon();
-        false
-    }
+    /// Carries an order out. Answer to [`ChildOrder::Stop`]: [`ChildEvent::Stopped`]; to
+    /// [`ChildOrder::Reset`]: [`ChildEvent::Reset`] or [`ChildEvent::ResetFailed`]. Says whether an
+    /// incarnation that was [cut off](ChildOrder::CutOff) keeps its thread.
+    fn order(&mut self, order: ChildOrder) -> bool;
 
     /// From its next [`start`](Child::start) on, the child lives on a thread of its own.
     ///
@@ -64,34 +38,24 @@ pub trait Child: Send {
         Err("it has no thread that it could leave")
     }
 
-    /// Asks a child in error to recover by itself. Answer: [`ChildEvent::Reset`] or
-    /// [`ChildEvent::ResetFailed`].
-    fn reset(&mut self);
-
-    /// Forbids the child to send and receive, or allows it again.
-    fn isolate(&mut self, isolated: bool);
-
-    /// The reason of an [`isolate`](Child::isolate) that follows, for those whose messages are
-    /// refused then.
+    /// The reason of a [`ChildOrder::Isolate`] that follows, for those whose messages are refused
+    /// then.
     fn explain_isolation(&mut self, _reason: &str) {}
-
-    /// Leaves a decision with the child's guard, or withdraws it.
-    fn set_restart_grant(&mut self, order: Option<RestartGrant>);
 }
 
-/// What became of a supervisor's call.
+/// The outcome of a supervisor's call.
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct ChildReport {
-    /// The child.
+    /// The child that the report is about.
     pub object: ObjectName,
-    /// Which incarnation.
+    /// The incarnation that the report is about.
     pub incarnation: Incarnation,
-    /// What became of it.
+    /// The event, such as the outcome of a call.
     pub event: ChildEvent,
 }
 
-/// See [`Child`].
+/// The event that a [`ChildReport`] carries.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ChildEvent {
     /// The new incarnation is active, or, after [`Unavailable`](ChildEvent::Unavailable), it is at
@@ -123,7 +87,7 @@ pub enum ChildEvent {
     /// Its incarnation ended although its supervisor had not asked for it; the guard has told the
     /// monitor the same in [`Exited`](crate::reports::Exited).
     Died {
-        /// How.
+        /// How it ended.
         exit: ExitReason,
         /// The guard has carried out its standing order: this incarnation has begun in the old
         /// one's place.
@@ -132,13 +96,13 @@ pub enum ChildEvent {
     /// It is the root, whose children failed more often than it allows; it ends them all from now
     /// on, and then has [escalated](ChildEvent::Escalated).
     GivesUp {
-        /// Which limit was exceeded, by whom.
+        /// The limit that was exceeded, and the child that exceeded it.
         reason: String,
     },
     /// It is a supervisor whose children failed more often than it allows; it has ended them all
     /// and leaves the decision to whom it reports.
     Escalated {
-        /// Which limit was exceeded, by whom.
+        /// The limit that was exceeded, and the child that exceeded it.
         reason: String,
     },
 }

@@ -8,11 +8,11 @@ use blastema_core::{Fault, FaultId, Instant};
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct FaultOutcome {
-    /// Which fault.
+    /// The fault that the outcome belongs to.
     pub id: FaultId,
     /// When it was so, on this node's clock.
     pub at: Instant,
-    /// What became of it.
+    /// The outcome of its recovery.
     pub what: RecoveryOutcome,
 }
 
@@ -34,6 +34,6 @@ pub struct FaultEvent {
     pub fault: Fault,
     /// When it was so.
     pub at: Instant,
-    /// What happened.
+    /// The step that the fault has taken.
     pub turn: FaultTransition,
 }

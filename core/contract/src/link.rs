@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! transport ──Received, TransportReport──► links ──LinkChanged, Arrived──► router
-//!           ◄─Transmit────────────────────       ◄────Carry, ReportLinks───────
+//!           ◄─Transmit────────────────────       ◄────Carry────────────────────
 //! ```
 
 use actix::{Message, Recipient};
@@ -29,9 +29,9 @@ pub enum LinkPayload {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct TransmitOnLink {
-    /// Which link.
+    /// The link to send it on.
     pub link: LinkId,
-    /// What.
+    /// The payload to send.
     pub load: LinkPayload,
 }
 
@@ -39,9 +39,9 @@ pub struct TransmitOnLink {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct ReceivedOnLink {
-    /// Which link.
+    /// The link on which it arrived.
     pub link: LinkId,
-    /// What.
+    /// The payload as received.
     pub load: LinkPayload,
 }
 
@@ -49,18 +49,13 @@ pub struct ReceivedOnLink {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct LinkChanged {
-    /// Which.
+    /// The link that has changed.
     pub link: LinkId,
-    /// How.
+    /// The link's present status.
     pub status: LinkStatus,
     /// Where it leads, for display.
     pub remote: Arc<str>,
 }
-
-/// The router restarts: every link is to report its state.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
-#[rtype(result = "()")]
-pub struct ReportLinks;
 
 /// The interface that a network uses has lost its carrier, or has it again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
@@ -74,12 +69,10 @@ pub struct CarrierChanged {
 #[derive(Clone, Debug, Message)]
 #[rtype(result = "()")]
 pub struct AddLinks {
-    /// Which.
+    /// The links, each by its number on this node.
     pub links: Vec<LinkId>,
     /// Takes what they are to carry.
     pub carry: Recipient<TransmitOnLink>,
-    /// Asks them how they are.
-    pub report: Recipient<ReportLinks>,
 }
 
 /// Asks a network for all its links.
@@ -96,7 +89,7 @@ pub struct LinkRow {
     pub network: Arc<str>,
     /// The link's name there.
     pub link: Arc<str>,
-    /// Its state.
+    /// The link's present state.
     pub state: LinkState,
     /// Who is, or was last, at its other end.
     pub neighbour: Option<Neighbour>,
@@ -106,9 +99,6 @@ pub struct LinkRow {
     pub quality: Quality,
     /// How often hellos are said on it: as configured, or as often as the medium can bear.
     pub hello_interval: Duration,
-    /// How surprising the neighbour's silence is by now, as φ (Hayashibara et al.): below 1 it is
-    /// usual, from 8 on it is no accident. It decides nothing.
-    pub phi: f32,
     /// What it costs at present: its own cost, and more while its quality is poor.
     pub cost: u16,
     /// What it has carried since its network's links were built last.

@@ -22,7 +22,7 @@ use std::sync::Arc;
 #[derive(Clone, Message)]
 #[rtype(result = "Result<Confirmed, RegistrationError>")]
 pub struct Register {
-    /// Who, and how.
+    /// The object, and how it is watched.
     pub enrolment: Registration,
     /// Where it answers the monitor's questions; `None` for one that is not asked.
     pub pings: Option<Recipient<AreYouAlive>>,
@@ -32,7 +32,7 @@ pub struct Register {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct Unregister {
-    /// Who.
+    /// The object to forget.
     pub object: ObjectName,
 }
 
@@ -50,7 +50,7 @@ pub struct NodeEnding;
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct IsolationReported {
-    /// Who.
+    /// The object that was isolated or admitted.
     pub object: ObjectName,
     /// Whether it is isolated now.
     pub isolated: bool,
@@ -60,7 +60,7 @@ pub struct IsolationReported {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct LinkReported {
-    /// Who sees it.
+    /// The node that sees it.
     pub node: NodeName,
     /// The link's name in that node's configuration: one name, one link, one neighbour.
     pub link: Arc<str>,
@@ -74,7 +74,7 @@ pub struct LinkReported {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct NodeReported {
-    /// Which.
+    /// The node that changed.
     pub node: NodeName,
     /// Its incarnation, as last heard.
     pub incarnation: Incarnation,

@@ -15,7 +15,7 @@ use blastema_core::detection::RecovererPort;
 #[derive(Clone, Message)]
 #[rtype(result = "()")]
 pub struct AddPort {
-    /// Whose recoverer it is.
+    /// The port that the recoverer serves.
     pub port: RecovererPort,
     /// Takes the faults.
     pub recover: Recipient<Recover>,

@@ -9,7 +9,7 @@ use blastema_core::{Fault, FaultId, FaultLocation};
 #[derive(Clone, Debug, Message)]
 #[rtype(result = "Confirmed")]
 pub struct Recover {
-    /// The fault.
+    /// The fault that is to be recovered from.
     pub fault: Fault,
 }
 
@@ -22,7 +22,7 @@ pub enum SafeStateChanged {
     Entering,
     /// The node has entered the safe state.
     Entered {
-        /// Why.
+        /// Why the node has entered it, for display.
         reason: String,
     },
     /// The node goes to work again.

@@ -30,11 +30,11 @@ pub struct Alive {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct Exited {
-    /// Who.
+    /// The object that ended.
     pub object: ObjectName,
-    /// Which incarnation.
+    /// The incarnation that ended.
     pub incarnation: Incarnation,
-    /// How.
+    /// How it ended.
     pub exit: ExitReason,
     /// The guard has carried out its standing order: this incarnation has begun in the old one's
     /// place.
@@ -45,9 +45,9 @@ pub struct Exited {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct StateReported {
-    /// Who.
+    /// The object whose state changed.
     pub object: ObjectName,
-    /// Which incarnation.
+    /// The incarnation that is in that state.
     pub incarnation: Incarnation,
     /// Where it now stands.
     pub state: Lifecycle,
@@ -60,13 +60,13 @@ pub struct StateReported {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct FaultDeclared {
-    /// Who declares it.
+    /// The object that declares it.
     pub object: ObjectName,
-    /// Which incarnation.
+    /// The incarnation in which the object found it.
     pub incarnation: Incarnation,
-    /// What it is.
+    /// The kind of the fault.
     pub kind: FaultKind,
-    /// The particulars.
+    /// The fault's particulars, for display.
     pub detail: String,
     /// How long it stands after it was declared last; `None` where its end is declared.
     pub hold: Option<Duration>,
@@ -76,11 +76,11 @@ pub struct FaultDeclared {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct DeclaredFaultCleared {
-    /// Who had declared it.
+    /// The object that had declared it.
     pub object: ObjectName,
-    /// Which incarnation it is in now.
+    /// The object's present incarnation.
     pub incarnation: Incarnation,
-    /// What it was.
+    /// The kind of the fault.
     pub kind: FaultKind,
 }
 

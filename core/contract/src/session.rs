@@ -1,117 +1,9 @@
-//! Between the sessions and the gateway, which speaks for the objects of the node.
-//!
-//! ```text
-//! gateway ──Say, SayNewest──► sessions ──SessionReported──► gateway
-//! ```
+//! What the rest of the node asks of its sessions, and is told of them.
 
-use actix::{Message, Recipient};
+use actix::Message;
 use blastema_core::net::ByteRate;
 use blastema_core::net::session::SessionStatus;
-use blastema_core::net::{NodeId, OrderingKey};
-use blastema_core::{Credit, DeliveryError, GatherBuffer, Incarnation, NodeName, TrafficClass};
-use bytes::Bytes;
-use std::collections::BTreeMap;
-
-/// Sends a message, exactly once and in the order of its stream. If it cannot be, it comes back as
-/// [`SessionReported::Returned`].
-#[derive(Debug, Message)]
-#[rtype(result = "()")]
-pub struct SendReliable {
-    /// Whom.
-    pub peer: NodeId,
-    /// In which session: what was meant for one is never said in the next.
-    pub session: u32,
-    /// In which stream.
-    pub stream: TrafficClass,
-    /// With what it stays in order there.
-    pub strand: OrderingKey,
-    /// What.
-    pub message: GatherBuffer,
-    /// The credit that it holds until the peer has acknowledged it.
-    pub credit: Option<Credit>,
-}
-
-/// Sends a message once, if at all: of one channel the newest that arrives counts.
-#[derive(Debug, Message)]
-#[rtype(result = "()")]
-pub struct SendLatest {
-    /// Whom.
-    pub peer: NodeId,
-    /// In which session.
-    pub session: u32,
-    /// On which channel.
-    pub channel: u32,
-    /// What.
-    pub message: GatherBuffer,
-    /// The credit that it holds until the session has it.
-    pub credit: Option<Credit>,
-}
-
-/// What a session has to tell.
-#[derive(Clone, Debug, PartialEq, Eq, Message)]
-#[rtype(result = "()")]
-pub enum SessionReported {
-    /// A node can be reached; a session will begin.
-    Reachable {
-        /// Which.
-        node: NodeName,
-        /// In which incarnation.
-        incarnation: Incarnation,
-    },
-    /// No path leads to it any more; its session waits for one for a while.
-    Unreachable {
-        /// Which.
-        node: NodeName,
-    },
-    /// A session has begun.
-    Opened {
-        /// With whom.
-        node: NodeName,
-        /// In which incarnation.
-        incarnation: Incarnation,
-        /// The session's number on this node.
-        session: u32,
-    },
-    /// A message has arrived.
-    Message {
-        /// From whom.
-        peer: NodeId,
-        /// What.
-        message: Bytes,
-    },
-    /// A message was not delivered, or perhaps not.
-    Returned {
-        /// To whom.
-        peer: NodeId,
-        /// What.
-        message: Bytes,
-        /// Why.
-        why: DeliveryError,
-        /// Some of it was sent, so that it may have arrived; otherwise it has not.
-        sent: bool,
-    },
-    /// A session is over; what was unacknowledged has been returned.
-    Ended {
-        /// With whom.
-        peer: NodeId,
-        /// Why.
-        why: DeliveryError,
-    },
-}
-
-/// The gateway presents itself to the sessions.
-#[derive(Clone, Debug, Message)]
-#[rtype(result = "()")]
-pub struct AddGateway(pub Recipient<SessionReported>);
-
-/// The gateway restarts, with all peers or with one: the session is to end and begin again,
-/// so that both ends agree.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
-#[rtype(result = "()")]
-pub struct ResetSession {
-    /// With whom; `None` for all.
-    pub peer: Option<NodeId>,
-}
+use blastema_core::{Incarnation, NodeName};
 
 /// This node ends in order: what was sent is to be delivered, then every session ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
@@ -126,7 +18,7 @@ pub struct ReadSessions;
 /// One session, for display.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SessionRow {
-    /// With whom.
+    /// The node at the other end.
     pub node: NodeName,
     /// How it stands.
     pub status: SessionStatus,
@@ -143,24 +35,19 @@ pub struct SessionRow {
 pub enum PeerStatusChanged {
     /// A session with it has begun: it can be talked to.
     Opened {
-        /// Which.
+        /// The node at the other end.
         node: NodeName,
-        /// In which incarnation.
+        /// The incarnation of that node.
         incarnation: Incarnation,
     },
     /// The session has ended, or nothing that it says counts.
     Ended {
-        /// Which.
+        /// The node at the other end.
         node: NodeName,
     },
     /// It says that it ends in order.
     Left {
-        /// Which.
+        /// The node that ends.
         node: NodeName,
     },
 }
-
-/// Which contracts do nodes not mean alike?
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
-#[rtype(result = "BTreeMap<NodeName, Vec<String>>")]
-pub struct ReadDifferences;

@@ -22,7 +22,7 @@ pub struct Reroute {
 #[derive(Clone, Debug, Message)]
 #[rtype(result = "Result<RecoveryDone, RecoveryFailed>")]
 pub struct IsolateNode {
-    /// Which.
+    /// The node to isolate or to admit.
     pub node: NodeName,
     /// Whether it is to be isolated.
     pub isolated: bool,
@@ -34,7 +34,7 @@ pub struct IsolateNode {
 #[derive(Clone, Debug, Message)]
 #[rtype(result = "()")]
 pub struct EnterSafeState {
-    /// What could not be contained.
+    /// The fault that could not be contained.
     pub fault: Fault,
     /// What was tried last, and what it said.
     pub reason: String,

@@ -9,7 +9,7 @@
 //!
 //! Requests go down the tree, events go up; a supervisor awaits no other object.
 
-use crate::child::{Child, ChildReport};
+use crate::child::{Child, ChildOrder, ChildReport};
 use actix::{Message, Recipient};
 use blastema_core::recovery::{ChildRules, ChildState, GiveUpReason, Strategy};
 use blastema_core::{Fault, Incarnation, ObjectName};
@@ -18,7 +18,7 @@ use std::sync::Arc;
 /// A child is well again, or is let go because its specification says so.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Recovered {
-    /// The child.
+    /// The child that has recovered.
     pub object: ObjectName,
     /// The incarnation that is now at work; `None` for a child whose end is final: a temporary one,
     /// or a transient one that had ended in order.
@@ -30,9 +30,9 @@ pub struct Recovered {
 /// A supervisor did not bring a child back.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct GaveUp {
-    /// The child.
+    /// The child that was not brought back.
     pub object: ObjectName,
-    /// Why.
+    /// Why the supervisor gave up.
     pub why: GiveUpReason,
 }
 
@@ -40,7 +40,7 @@ pub struct GaveUp {
 #[derive(Clone, Debug, Message)]
 #[rtype(result = "Result<Recovered, GaveUp>")]
 pub struct ChildRequest {
-    /// The child.
+    /// The child that is meant.
     pub object: ObjectName,
     /// What is to be done.
     pub action: ChildAction,
@@ -65,7 +65,7 @@ pub enum ChildAction {
         faulty: Option<Incarnation>,
         /// Forbidden, or allowed.
         isolated: bool,
-        /// Why.
+        /// The reason, for display.
         reason: String,
     },
     /// Put it in safe state: its incarnation ends, it is isolated, and only an explicit restart
@@ -81,7 +81,7 @@ pub enum ChildAction {
 #[derive(Message)]
 #[rtype(result = "Result<Recovered, GaveUp>")]
 pub struct AddChild {
-    /// The child.
+    /// The child to take in.
     pub child: Box<dyn Child>,
     /// How it is kept.
     pub rules: ChildRules,
@@ -104,22 +104,10 @@ pub enum SupervisorOrder {
         /// Where its reports go.
         report: Arc<Recipient<ChildReport>>,
     },
-    /// Stop all children in reverse order. `Stopped` is reported when all have ended.
-    Stop {
-        /// The supervisor is to restart, so that what waits for its children goes on waiting.
-        again: bool,
-    },
-    /// [`Stop`](SupervisorOrder::Stop) follows, so begin nothing any more. Nothing is reported.
-    ExpectEnd,
-    /// Give all children up at once. Nothing is reported.
-    Abandon,
-    /// Forbid all children to send and receive, or allow it again.
-    Isolate {
-        /// Forbidden, or allowed.
-        isolated: bool,
-        /// Why.
-        reason: String,
-    },
+    /// Carry this out, as any child does.
+    Carry(ChildOrder),
+    /// Why its children will be isolated.
+    ExplainIsolation(String),
     /// The parent has forgotten the supervisor: forget all children, and end the actor.
     Forget,
 }
@@ -134,7 +122,7 @@ pub struct ReadTree;
 pub struct SupervisionTree {
     /// The supervisor's name.
     pub name: ObjectName,
-    /// Which incarnation.
+    /// The supervisor's present incarnation.
     pub incarnation: Incarnation,
     /// Whom it restarts together.
     pub strategy: Strategy,
@@ -147,9 +135,9 @@ pub struct SupervisionTree {
 /// One child in a [`SupervisionTree`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SupervisionTreeChild {
-    /// Its name.
+    /// The child's name.
     pub name: ObjectName,
-    /// Which incarnation.
+    /// The child's present incarnation.
     pub incarnation: Incarnation,
     /// Where it stands with its supervisor.
     pub state: ChildState,

@@ -95,7 +95,7 @@ impl fmt::Display for MediumAddress {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct Transmit {
-    /// To whom, on this medium.
+    /// The receiver's address on this medium.
     pub to: MediumAddress,
     /// The frame, whole, in one piece or two.
     pub frame: GatherBuffer,
@@ -114,7 +114,7 @@ impl Transmit {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct Received {
-    /// From whom, on this medium.
+    /// The sender's address on this medium.
     pub from: MediumAddress,
     /// The frame, whole.
     pub frame: Bytes,
@@ -193,7 +193,7 @@ pub enum TransportReport {
     },
     /// A connection to this peer is gone (media with connections only).
     PeerLost {
-        /// Who.
+        /// The peer's address on the medium.
         peer: MediumAddress,
     },
 }
@@ -249,9 +249,9 @@ pub enum ConnectionTrust {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct Adopt {
-    /// Which connection, a [`MediumAddress::Connection`].
+    /// The connection, a [`MediumAddress::Connection`].
     pub connection: MediumAddress,
-    /// Whose it is.
+    /// The address of the peer that it belongs to.
     pub peer: MediumAddress,
 }
 
@@ -289,7 +289,7 @@ pub struct TransportCounters {
 /// The frames that wait for a medium at one moment.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TransmitBacklog {
-    /// How many.
+    /// The number of frames that wait.
     pub frames: usize,
     /// How long the oldest of them has waited; zero if there is none, or if the receiver that is
     /// attached has no clock.
@@ -303,7 +303,7 @@ impl TransmitBacklog {
         TransmitBacklog { frames, oldest: age.unwrap_or_default() }
     }
 
-    /// Both together.
+    /// Adds the frames of both; the oldest is the older one of the two.
     pub fn and(self, other: TransmitBacklog) -> TransmitBacklog {
         let (frames, oldest) = (self.frames + other.frames, self.oldest.max(other.oldest));
         TransmitBacklog { frames, oldest }
@@ -318,7 +318,7 @@ impl TransmitBacklog {
 /// ```
 #[derive(Clone, Debug)]
 pub struct Transport {
-    /// Takes frames.
+    /// Takes the frames to send.
     pub transmit: Recipient<Transmit>,
     /// Takes who is to get frames and reports.
     pub attach: Recipient<Attach>,
@@ -362,7 +362,7 @@ pub enum Direction {
     Outgoing,
     /// From the medium to the link.
     Incoming,
-    /// Both.
+    /// Both directions at once.
     Both,
 }
 
@@ -382,9 +382,9 @@ impl Direction {
 #[derive(Clone, Copy, Debug, PartialEq, Message)]
 #[rtype(result = "()")]
 pub struct Impair {
-    /// Which way.
+    /// The direction that is impaired.
     pub direction: Direction,
-    /// How bad.
+    /// What the frames suffer from now on.
     pub impairment: Impairment,
 }
 
@@ -392,7 +392,7 @@ pub struct Impair {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct Cut {
-    /// Which way.
+    /// The direction that is cut.
     pub direction: Direction,
     /// The medium notices, as Ethernet notices a pulled cable ([`TransportReport::Closed`]);
     /// otherwise it says nothing, as a switch that has lost its next hop.
@@ -404,9 +404,9 @@ pub struct Cut {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct Partition {
-    /// Which way.
+    /// The direction that is blocked.
     pub direction: Direction,
-    /// Whom.
+    /// The addresses of the peers on the other side.
     pub peers: BTreeSet<MediumAddress>,
 }
 

@@ -95,7 +95,6 @@ fn read(
 
 impl SealCrypto for FakeCrypto {
     type Handshake = FakeHandshake;
-    type Cipher = FakeCipher;
 
     fn pair_secret(&self, peer: &[u8; PUBLIC_KEY]) -> Option<[u8; 32]> {
         Some(pair(&self.public, peer))
@@ -146,14 +145,14 @@ impl SealCrypto for FakeCrypto {
         Some((payload, ChannelKeys { seal, open }))
     }
 
-    fn cipher(&self, _: CipherSuite, keys: &ChannelKeys) -> FakeCipher {
-        FakeCipher { seal: keys.seal, open: keys.open, ledger: self.ledger.clone() }
+    fn cipher(&self, _: CipherSuite, keys: &ChannelKeys) -> Box<dyn FrameCipher> {
+        Box::new(FakeCipher { seal: keys.seal, open: keys.open, ledger: self.ledger.clone() })
     }
 }
 
 /// The cipher of [`FakeCrypto`]: a tag, and no encryption.
 #[derive(Debug)]
-pub struct FakeCipher {
+struct FakeCipher {
     seal: [u8; 32],
     open: [u8; 32],
     ledger: NonceLedger,
@@ -165,10 +164,6 @@ fn tag(key: &[u8; 32], nonce: u64, plain: &[u8]) -> [u8; 16] {
 }
 
 impl FrameCipher for FakeCipher {
-    fn tag_length(&self) -> usize {
-        16
-    }
-
     fn seal(&mut self, nonce: u64, frame: &mut BytesMut, from: usize) {
         self.ledger.insert(self.seal, nonce);
         let tag = tag(&self.seal, nonce, &frame[from..]);
@@ -202,7 +197,7 @@ fn hash(pieces: &[&[u8]]) -> [u8; 32] {
 mod tests {
     use super::*;
 
-    fn cipher(ledger: &NonceLedger) -> FakeCipher {
+    fn cipher(ledger: &NonceLedger) -> Box<dyn FrameCipher> {
         let keys = ChannelKeys { seal: [1; 32], open: [1; 32] };
         FakeCrypto::new(1, ledger.clone()).cipher(CipherSuite::AesGcm, &keys)
     }

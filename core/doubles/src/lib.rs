@@ -44,7 +44,7 @@ mod program;
 mod record;
 mod turn;
 
-pub use fake_crypto::{FakeCipher, FakeCrypto, FakeHandshake, NonceLedger};
+pub use fake_crypto::{FakeCrypto, FakeHandshake, NonceLedger};
 pub use mock_transport::MockTransport;
 pub use network::SimulatedNetwork;
 pub use paused::{advance, now, paused, settle};

@@ -62,7 +62,6 @@ struct Head {
     message: u8,
 }
 
-/// One object.
 #[derive(Clone, Copy, Debug)]
 struct Object {
     state: DeviceState,
@@ -80,26 +79,43 @@ struct Object {
 pub struct Device<'a, const OBJECTS: usize, const PORTS: usize> {
     config: DeviceConfig<'a>,
     session: u16,
-    /// The sequence of the last command that was carried out; 0 after HELLO.
-    last: u8,
-    /// The reply to it.
-    kept: Option<(Head, usize)>,
-    kept_data: [u8; DATA_MAX],
+    reply: KeptReply,
     answer: Answer,
     restarts: bool,
     objects: [Object; OBJECTS],
     faults: u8,
     published: PortSet,
-    deadman: Duration,
-    deadman_expired: bool,
+    deadman: DeadmanTimer,
+    executions: ExecutionClock,
+    /// When each in port with a deadline was written, or its object activated.
+    written: [Duration; PORTS],
+}
+
+/// The reply to the last command that was carried out.
+#[derive(Clone, Debug)]
+struct KeptReply {
+    /// The sequence of that command; 0 after HELLO.
+    last: u8,
+    kept: Option<(Head, usize)>,
+    data: [u8; DATA_MAX],
+}
+
+/// Whether the node is silent, and for how long it may be.
+#[derive(Clone, Debug)]
+struct DeadmanTimer {
+    limit: Duration,
+    expired: bool,
     /// When the last packet was accepted.
     received: Duration,
     silent: bool,
+}
+
+/// When the objects are executed.
+#[derive(Clone, Debug)]
+struct ExecutionClock {
     running: bool,
     period: Duration,
-    next_execution: Duration,
-    /// When each in port with a deadline was written, or its object activated.
-    written: [Duration; PORTS],
+    next: Duration,
 }
 
 impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
@@ -117,21 +133,23 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
         let mut device = Device {
             config,
             session: 0,
-            last: 0,
-            kept: None,
-            kept_data: [0; DATA_MAX],
+            reply: KeptReply { last: 0, kept: None, data: [0; DATA_MAX] },
             answer: Answer::None,
             restarts: false,
             objects: [object; OBJECTS],
             faults: 0,
             published: PortSet::default(),
-            deadman: config.deadman_max,
-            deadman_expired: false,
-            received: now,
-            silent: false,
-            running: true,
-            period: FIRST_PERIOD,
-            next_execution: now + FIRST_PERIOD,
+            deadman: DeadmanTimer {
+                limit: config.deadman_max,
+                expired: false,
+                received: now,
+                silent: false,
+            },
+            executions: ExecutionClock {
+                running: true,
+                period: FIRST_PERIOD,
+                next: now + FIRST_PERIOD,
+            },
             written: [now; PORTS],
         };
         for object in 1..=OBJECTS as u8 {
@@ -180,7 +198,7 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
             && packet.message == message::PING
             && packet.data.first().is_some_and(|number| number & message::PING_PROBE != 0);
         if !is_probe {
-            (self.received, self.silent) = (now, false);
+            (self.deadman.received, self.deadman.silent) = (now, false);
         }
         match packet.sequence {
             None if is_link => {
@@ -195,9 +213,12 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
 
     /// Lets the device act on everything that is due: dead-man, deadlines, execution.
     pub fn handle_timeout(&mut self, now: Duration, firmware: &mut impl Firmware) {
-        if self.session != 0 && !self.silent && now.saturating_sub(self.received) >= self.deadman {
-            self.silent = true;
-            self.deadman_expired = true;
+        if self.session != 0
+            && !self.deadman.silent
+            && now.saturating_sub(self.deadman.received) >= self.deadman.limit
+        {
+            self.deadman.silent = true;
+            self.deadman.expired = true;
             for object in 1..=OBJECTS as u8 {
                 if self.state(object) == DeviceState::Active {
                     self.abort(object, message::CODE_DEADMAN, firmware);
@@ -211,13 +232,13 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
                 self.abort(object, message::CODE_INPUT_TOO_OLD, firmware);
             }
         }
-        if !self.running || now < self.next_execution {
+        if !self.executions.running || now < self.executions.next {
             return;
         }
-        self.next_execution += self.period;
-        if self.next_execution <= now {
+        self.executions.next += self.executions.period;
+        if self.executions.next <= now {
             // Executions that were missed are skipped.
-            self.next_execution = now + self.period;
+            self.executions.next = now + self.executions.period;
         }
         for object in 1..=OBJECTS as u8 {
             match *self.object(object) {
@@ -239,13 +260,14 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
     pub fn poll_timeout(&self) -> Option<Duration> {
         let is = |wanted| self.objects.iter().any(|object| object.state == wanted);
         if !is(DeviceState::Active) {
-            return (self.running && is(DeviceState::Error)).then_some(self.next_execution);
+            return (self.executions.running && is(DeviceState::Error))
+                .then_some(self.executions.next);
         }
         let watched = (0..PORTS)
             .filter(|&port| self.state(self.config.ports[port].object()) == DeviceState::Active);
         let deadlines = watched.filter_map(|port| Some(self.written[port] + self.deadline(port)?));
-        let expiry = (!self.silent).then_some(self.received + self.deadman);
-        deadlines.chain(expiry).chain(self.running.then_some(self.next_execution)).min()
+        let expiry = (!self.deadman.silent).then_some(self.deadman.received + self.deadman.limit);
+        deadlines.chain(expiry).chain(self.executions.running.then_some(self.executions.next)).min()
     }
 
     /// Writes the next packet into `bytes` and returns it; `None` when there is none to send.
@@ -313,13 +335,13 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
     fn open(&mut self, session: u16, deadman_ms: u16) {
         if session != self.session {
             self.session = session;
-            self.last = 0;
-            self.kept = None;
-            self.deadman_expired = false;
+            self.reply.last = 0;
+            self.reply.kept = None;
+            self.deadman.expired = false;
         }
         let asked = Duration::from_millis(deadman_ms.into());
         let asked = if asked.is_zero() { self.config.deadman_max } else { asked };
-        self.deadman = asked.min(self.config.deadman_max);
+        self.deadman.limit = asked.min(self.config.deadman_max);
     }
 
     /// A plain packet: the newest value wins, and nothing is answered.
@@ -340,15 +362,15 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
     ) {
         let DevicePacket { object, message, .. } = *packet;
         let head = Head { sequence: Some(sequence), object, message };
-        if sequence == self.last && self.kept.is_some() {
+        if sequence == self.reply.last && self.reply.kept.is_some() {
             self.answer = Answer::Reply;
-        } else if sequence == (self.last + 1) % 8 {
-            self.last = sequence;
+        } else if sequence == (self.reply.last + 1) % 8 {
+            self.reply.last = sequence;
             let mut reply = [0; DATA_MAX];
             let (status, length) = self.execute(packet, now, firmware, &mut reply[1..]);
             reply[0] = status as u8;
-            self.kept_data = reply;
-            self.kept = Some((head, 1 + length));
+            self.reply.data = reply;
+            self.reply.kept = Some((head, 1 + length));
             self.answer = Answer::Reply;
         } else {
             self.answer = Answer::OutOfStep(head);
@@ -374,15 +396,15 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
                 return (status, 1);
             }
             message::START | message::STOP => {
-                self.running = message == message::START;
-                self.next_execution = now + self.period;
+                self.executions.running = message == message::START;
+                self.executions.next = now + self.executions.period;
                 return (Status::Well, 0);
             }
             message::RATE => {
                 let period_ms =
                     u16::from_le_bytes([data[0], data[1]]).clamp(1, message::PERIOD_MAX_MS);
-                self.period = Duration::from_millis(period_ms.into());
-                self.next_execution = now + self.period;
+                self.executions.period = Duration::from_millis(period_ms.into());
+                self.executions.next = now + self.executions.period;
                 return (Status::Well, 0);
             }
             message::TEXT => {
@@ -500,7 +522,7 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
                 let waits = self.config.address.is_some() && self.is_waiting();
                 let flag = |set, flag| if set { flag } else { 0 };
                 let flags = flag(has_session, message::FLAG_SESSION)
-                    | flag(self.deadman_expired, message::FLAG_DEADMAN)
+                    | flag(self.deadman.expired, message::FLAG_DEADMAN)
                     | flag(waits, message::FLAG_WAITING)
                     | (self.faults << 4);
                 let [boot, _] = self.config.boot.to_le_bytes();
@@ -536,8 +558,8 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
                 (link(message::RESTART), 2)
             }
             Answer::Reply => {
-                let (head, length) = self.kept?;
-                data[..length].copy_from_slice(&self.kept_data[..length]);
+                let (head, length) = self.reply.kept?;
+                data[..length].copy_from_slice(&self.reply.data[..length]);
                 (head, length)
             }
             Answer::OutOfStep(head) => {

@@ -78,12 +78,10 @@ impl TypeAttributes {
             flags: Vec::new(),
             facade: parse_quote!(::blastema),
         };
-        let mut seen = Vec::new();
         for_each_key("contract", attributes, |meta, key| {
             if let Some(reason) = misplaced(key, derive) {
                 return Err(meta.error(reason));
             }
-            refuse_repetition(&mut seen, &meta, key)?;
             match key {
                 "name" => parsed.name = Some(parse_name(&meta)?),
                 "version" => parsed.version = Some(parse_version(&meta)?),
@@ -112,12 +110,10 @@ impl FieldAttributes {
     pub(crate) fn parse(attributes: &[Attribute]) -> Result<Self> {
         refuse_serde(attributes)?;
         let mut parsed = FieldAttributes::default();
-        let mut seen = Vec::new();
         for_each_key("contract", attributes, |meta, key| {
             if TYPE_KEYS.contains(&key) {
                 return Err(meta.error(format!("`{key}` belongs above the type, not to a field")));
             }
-            refuse_repetition(&mut seen, &meta, key)?;
             match key {
                 "unit" => parsed.unit = Some(parse_text(&meta, key)?),
                 "frame" => parsed.frame = Some(parse_text(&meta, key)?),
@@ -148,18 +144,23 @@ pub(crate) fn parse_crate(meta: &ParseNestedMeta<'_>, facade: &mut Path) -> Resu
     Ok(())
 }
 
-/// Takes each key of the attributes of this name.
+/// Takes each key of the attributes of this name, once.
 pub(crate) fn for_each_key(
     name: &str,
     attributes: &[Attribute],
     mut take: impl FnMut(ParseNestedMeta<'_>, &str) -> Result<()>,
 ) -> Result<()> {
+    let mut seen = Vec::new();
     for attribute in attributes.iter().filter(|a| a.path().is_ident(name)) {
         attribute.parse_nested_meta(|meta| {
             let key = match meta.path.get_ident() {
                 Some(ident) => ident.to_string(),
                 None => return Err(meta.error("a key is a single word")),
             };
+            if seen.contains(&key) {
+                return Err(meta.error(format!("`{key}` is given twice")));
+            }
+            seen.push(key.clone());
             take(meta, &key)
         })?;
     }
@@ -167,43 +168,43 @@ pub(crate) fn for_each_key(
 }
 
 fn misplaced(key: &str, derive: Derive) -> Option<String> {
-    match (key, derive) {
+    let reason = match (key, derive) {
         ("unit" | "frame" | "at_most", _) => {
-            Some(format!("`{key}` belongs to a field, not above the type"))
+            return Some(format!("`{key}` belongs to a field, not above the type"));
         }
-        ("crate", _) => None,
+        (key, Derive::Structure) if key != "crate" && TYPE_KEYS.contains(&key) => {
+            return Some(format!(
+                "a structure is part of contracts and has none of its own: derive `Event` or \
+                 `Request` instead, or remove `{key}`"
+            ));
+        }
         ("reply", Derive::Event) => {
-            Some("an event has no reply: derive `Request` instead, or remove `reply`".into())
+            "an event has no reply: derive `Request` instead, or remove `reply`"
         }
         ("reply", Derive::Variable) => {
-            Some("a variable has no reply: it is read and written; remove `reply`".into())
+            "a variable has no reply: it is read and written; remove `reply`"
         }
         ("max_age", Derive::Variable) => {
-            Some("a variable shows its age to its readers; remove `max_age`".into())
+            "a variable shows its age to its readers; remove `max_age`"
         }
-        ("idempotent", Derive::Event) => Some(
+        ("idempotent", Derive::Event) => {
             "an event is not answered, so that no caller waits or sends it again: remove `idempotent`"
-                .into(),
-        ),
-        ("latched", Derive::Request) => Some(
+        }
+        ("latched", Derive::Request) => {
             "only the last event of a topic can be kept for later listeners: remove `latched`"
-                .into(),
-        ),
+        }
         ("latched", Derive::Variable) => {
-            Some("a variable gives its value to each reader: remove `latched`".into())
+            "a variable gives its value to each reader: remove `latched`"
         }
         ("when_full", Derive::Request | Derive::Variable) => {
-            Some("only an event is published: remove `when_full`".into())
+            "only an event is published: remove `when_full`"
         }
         ("bulk", Derive::Variable) => {
-            Some("a variable travels in messages of the middleware: remove `bulk`".into())
+            "a variable travels in messages of the middleware: remove `bulk`"
         }
-        (key, Derive::Structure) if TYPE_KEYS.contains(&key) => Some(format!(
-            "a structure is part of contracts and has none of its own: derive `Event` or `Request` \
-             instead, or remove `{key}`"
-        )),
-        _ => None,
-    }
+        _ => return None,
+    };
+    Some(reason.to_owned())
 }
 
 pub(crate) fn unknown(meta: &ParseNestedMeta<'_>, key: &str, known: &[&str]) -> Error {
@@ -212,18 +213,6 @@ pub(crate) fn unknown(meta: &ParseNestedMeta<'_>, key: &str, known: &[&str]) -> 
         None => format!("the keys here are `{}`", known.join("`, `")),
     };
     meta.error(format!("unknown key `{key}`: {hint}"))
-}
-
-pub(crate) fn refuse_repetition(
-    seen: &mut Vec<String>,
-    meta: &ParseNestedMeta<'_>,
-    key: &str,
-) -> Result<()> {
-    if seen.iter().any(|other| other == key) {
-        return Err(meta.error(format!("`{key}` is given twice")));
-    }
-    seen.push(key.into());
-    Ok(())
 }
 
 fn parse_version(meta: &ParseNestedMeta<'_>) -> Result<u16> {

@@ -6,48 +6,37 @@ use proc_macro2::TokenStream;
 use quote::{quote, quote_spanned};
 use syn::ext::IdentExt;
 use syn::spanned::Spanned;
-use syn::{DeriveInput, Error, Generics, Path, Result, parse_quote};
+use syn::{DeriveInput, Error, Generics, Result, parse_quote};
 
-pub(crate) fn derive_event(input: &DeriveInput) -> Result<TokenStream> {
-    without_reply(input, Derive::Event, |facade| quote!(#facade::core::Event))
-}
-
-pub(crate) fn derive_variable(input: &DeriveInput) -> Result<TokenStream> {
-    without_reply(input, Derive::Variable, |facade| quote!(#facade::core::Variable))
-}
-
-fn without_reply(
-    input: &DeriveInput,
-    derive: Derive,
-    kind: impl Fn(&Path) -> TokenStream,
-) -> Result<TokenStream> {
+pub(crate) fn derive(input: &DeriveInput, derive: Derive) -> Result<TokenStream> {
     let attributes = TypeAttributes::parse(&input.attrs, derive)?;
-    let structure = expand(input, &attributes)?;
-    let contract = contract(input, &attributes, &quote!(()))?;
-    let kind = marker(
-        input,
-        &attributes,
-        &kind(&attributes.facade),
-        &quote!(::std::clone::Clone + ::std::marker::Send + ::std::marker::Sync),
-    );
-    Ok(quote!(#structure #contract #kind))
-}
-
-pub(crate) fn derive_request(input: &DeriveInput) -> Result<TokenStream> {
-    let attributes = TypeAttributes::parse(&input.attrs, Derive::Request)?;
-    let Some(reply) = &attributes.reply else {
-        return Err(Error::new(
-            input.ident.span(),
-            "a request needs a reply: write `#[contract(reply = Type)]`; `reply = ()` says only that \
-             it was served",
-        ));
+    let shared = quote!(::std::clone::Clone + ::std::marker::Send + ::std::marker::Sync);
+    let (kind, bounds, reply) = match (derive, &attributes.reply) {
+        (Derive::Structure, _) => return expand(input, &attributes),
+        (Derive::Event, _) => (quote!(Event), shared, quote!(())),
+        (Derive::Variable, _) => (quote!(Variable), shared, quote!(())),
+        (Derive::Request, Some(reply)) => {
+            (quote!(Request), quote!(::std::marker::Send), quote!(#reply))
+        }
+        (Derive::Request, None) => {
+            return Err(Error::new(
+                input.ident.span(),
+                "a request needs a reply: write `#[contract(reply = Type)]`; `reply = ()` says only \
+                 that it was served",
+            ));
+        }
     };
     let structure = expand(input, &attributes)?;
-    let contract = contract(input, &attributes, &quote!(#reply))?;
-    let facade = &attributes.facade;
-    let kind =
-        marker(input, &attributes, &quote!(#facade::core::Request), &quote!(::std::marker::Send));
-    Ok(quote!(#structure #contract #kind))
+    let contract = contract(input, &attributes, &reply)?;
+    let (ident, facade) = (&input.ident, &attributes.facade);
+    let generics = bounded(input, &attributes, &bounds);
+    let (impl_generics, type_generics, where_clause) = generics.split_for_impl();
+    Ok(quote! {
+        #structure
+        #contract
+        #[automatically_derived]
+        impl #impl_generics #facade::core::#kind for #ident #type_generics #where_clause {}
+    })
 }
 
 fn contract(
@@ -124,21 +113,6 @@ fn contract(
             #former
         }
     })
-}
-
-fn marker(
-    input: &DeriveInput,
-    attributes: &TypeAttributes,
-    kind: &TokenStream,
-    bounds: &TokenStream,
-) -> TokenStream {
-    let ident = &input.ident;
-    let generics = bounded(input, attributes, bounds);
-    let (impl_generics, type_generics, where_clause) = generics.split_for_impl();
-    quote! {
-        #[automatically_derived]
-        impl #impl_generics #kind for #ident #type_generics #where_clause {}
-    }
 }
 
 /// The generics under which the type has what its contract demands. Without parameters nothing is

@@ -13,6 +13,7 @@ mod program;
 mod spelling;
 mod structure;
 
+use attributes::Derive;
 use proc_macro::TokenStream;
 use syn::{DeriveInput, ItemFn, Path, Result, parse_macro_input, parse_quote};
 
@@ -32,8 +33,7 @@ use syn::{DeriveInput, ItemFn, Path, Result, parse_macro_input, parse_quote};
 /// ```
 #[proc_macro_derive(Structure, attributes(contract, serde))]
 pub fn structure(input: TokenStream) -> TokenStream {
-    let input = parse_macro_input!(input as DeriveInput);
-    tokens(structure::derive(&input))
+    derived(input, Derive::Structure)
 }
 
 /// Makes a type an event: a message without an answer, which may have many listeners.
@@ -61,8 +61,7 @@ pub fn structure(input: TokenStream) -> TokenStream {
 /// ```
 #[proc_macro_derive(Event, attributes(contract, serde))]
 pub fn event(input: TokenStream) -> TokenStream {
-    let input = parse_macro_input!(input as DeriveInput);
-    tokens(contract::derive_event(&input))
+    derived(input, Derive::Event)
 }
 
 /// Makes a type a request: a message with one answer.
@@ -80,8 +79,7 @@ pub fn event(input: TokenStream) -> TokenStream {
 /// ```
 #[proc_macro_derive(Request, attributes(contract, serde))]
 pub fn request(input: TokenStream) -> TokenStream {
-    let input = parse_macro_input!(input as DeriveInput);
-    tokens(contract::derive_request(&input))
+    derived(input, Derive::Request)
 }
 
 /// Makes a type a variable: a value that an object owns, and that any node may read, write and
@@ -100,8 +98,7 @@ pub fn request(input: TokenStream) -> TokenStream {
 /// ```
 #[proc_macro_derive(Variable, attributes(contract, serde))]
 pub fn variable(input: TokenStream) -> TokenStream {
-    let input = parse_macro_input!(input as DeriveInput);
-    tokens(contract::derive_variable(&input))
+    derived(input, Derive::Variable)
 }
 
 /// Makes a struct the parameters of a component: settings with defaults, units and ranges. It is a
@@ -189,6 +186,10 @@ pub fn test(arguments: TokenStream, item: TokenStream) -> TokenStream {
     let parser = syn::meta::parser(|meta| attributes::parse_crate(&meta, &mut testkit));
     parse_macro_input!(arguments with parser);
     tokens(program::test(parse_macro_input!(item as ItemFn), &testkit))
+}
+
+fn derived(input: TokenStream, derive: Derive) -> TokenStream {
+    tokens(contract::derive(&parse_macro_input!(input as DeriveInput), derive))
 }
 
 fn tokens(result: Result<proc_macro2::TokenStream>) -> TokenStream {

@@ -1,10 +1,8 @@
 //! `#[derive(Parameters)]`: settings with defaults, units and ranges, which are a variable as well;
 //! and `#[derive(ParameterType)]` for those that take one of several names.
 
-use crate::attributes::{
-    Derive, TypeAttributes, for_each_key, parse_text, refuse_repetition, unknown,
-};
-use crate::contract::derive_variable;
+use crate::attributes::{Derive, TypeAttributes, for_each_key, parse_text, unknown};
+use crate::contract;
 use crate::structure::option;
 use proc_macro2::TokenStream;
 use quote::{ToTokens, quote};
@@ -24,9 +22,7 @@ struct ParameterAttributes {
 impl ParameterAttributes {
     fn parse(attributes: &[syn::Attribute]) -> Result<Self> {
         let mut parsed = ParameterAttributes::default();
-        let mut seen = Vec::new();
         for_each_key("parameter", attributes, |meta, key| {
-            refuse_repetition(&mut seen, &meta, key)?;
             match key {
                 "default" => parsed.default = Some(meta.value()?.parse()?),
                 "range" => parsed.range = Some(meta.value()?.parse()?),
@@ -106,7 +102,7 @@ pub(crate) fn derive(input: &DeriveInput) -> Result<TokenStream> {
             }
         }));
     }
-    let variable = derive_variable(&variable)?;
+    let variable = contract::derive(&variable, Derive::Variable)?;
     let ident = &input.ident;
     let error = quote!(#facade::core::parameters::ParameterError);
     Ok(quote! {

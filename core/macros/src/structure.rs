@@ -1,6 +1,6 @@
 //! `#[derive(Structure)]`: a type's structure as data, and its encoding.
 
-use crate::attributes::{Derive, FieldAttributes, TypeAttributes, refuse_on_variant};
+use crate::attributes::{FieldAttributes, TypeAttributes, refuse_on_variant};
 use crate::foreign::refuse_foreign;
 use proc_macro2::TokenStream;
 use quote::{ToTokens, quote, quote_spanned};
@@ -10,11 +10,6 @@ use syn::{
     Attribute, Data, DeriveInput, Error, Field, Fields, GenericArgument, GenericParam, Generics,
     LitStr, PathArguments, Result, Type, Visibility, parse_quote, parse_quote_spanned,
 };
-
-pub(crate) fn derive(input: &DeriveInput) -> Result<TokenStream> {
-    let attributes = TypeAttributes::parse(&input.attrs, Derive::Structure)?;
-    expand(input, &attributes)
-}
 
 /// The part that all derives have in common.
 pub(crate) fn expand(input: &DeriveInput, attributes: &TypeAttributes) -> Result<TokenStream> {

@@ -6,13 +6,13 @@ use crate::Instant;
 /// Which channels a condition needs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Combination<C> {
-    /// This channel.
+    /// The channel that is needed.
     Channel(C),
     /// At least so many of these.
     AtLeast {
         /// How many: all of them, or one, or some.
         least: usize,
-        /// Of which.
+        /// What is counted: channels, or combinations of them.
         of: Vec<Combination<C>>,
     },
 }
@@ -81,8 +81,8 @@ impl Combination<ConnectionJudge> {
             Combination::AtLeast { least, of } => {
                 let is_well = |part: &&Self| part.state() == ConditionState::Connected;
                 let well = of.iter().filter(is_well).count();
-                let told = of.iter().filter(|part| well >= *least || !is_well(part));
-                let causes = told.map(Self::cause).collect::<Vec<_>>().join("; ");
+                let shown = of.iter().filter(|part| well >= *least || !is_well(part));
+                let causes = shown.map(Self::cause).collect::<Vec<_>>().join("; ");
                 match of.len() {
                     1 => causes,
                     all => format!("{well} of {all} connected, {least} needed: {causes}"),

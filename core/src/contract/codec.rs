@@ -61,7 +61,7 @@ pub enum DecodeError {
     /// Bytes follow the message: the sender means another contract, or two frames ran together.
     #[error("{count} bytes follow the message")]
     Trailing {
-        /// How many.
+        /// The number of bytes that follow.
         count: usize,
     },
     /// The bytes mean no value of the type.

@@ -141,7 +141,7 @@ pub trait Variable: Contract<Reply = ()> + Clone + Sync {}
 pub struct ContractIdentity {
     /// The contract's name.
     pub name: &'static str,
-    /// Its version.
+    /// The contract's version.
     pub version: u16,
     /// How its messages travel.
     pub delivery: Delivery,
@@ -165,7 +165,7 @@ pub struct PeerIdentity {
     /// The contract's name.
     #[serde(deserialize_with = "contract_name")]
     pub name: String,
-    /// Its version.
+    /// The contract's version.
     pub version: u16,
     /// How its messages travel: who counts on every message is not served by who sends the newest.
     pub delivery: Delivery,
@@ -181,9 +181,9 @@ pub struct PeerIdentity {
 /// The structures of a peer's contract.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PeerStructure {
-    /// The message's.
+    /// The structure of the message.
     pub message: LayoutDescription,
-    /// The reply's.
+    /// The structure of the reply.
     pub reply: LayoutDescription,
 }
 
@@ -205,11 +205,6 @@ impl ContractIdentity {
     /// The traffic class of messages to an object, and of the replies to them.
     pub fn message_class(&self) -> TrafficClass {
         TrafficClass::of_message(self.name, self.delivery, self.bulk)
-    }
-
-    /// The traffic class of events of a topic.
-    pub fn event_class(&self) -> TrafficClass {
-        TrafficClass::of_event(self.delivery, self.bulk)
     }
 
     /// What the peer needs to decide: name, version, delivery and fingerprint.

@@ -24,34 +24,10 @@ pub const PACKED_MAX: usize = 239;
 /// A type nested deeper than this is taken for one that contains itself.
 const DEPTH_MAX: usize = 16;
 
-/// Why a contract has no packed form.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum PackedError {
-    /// The size of a part is not fixed.
-    #[error("a {what} has no fixed size: write an array, `[T; n]`, or `#[contract(at_most = n)]`")]
-    Unbounded {
-        /// What the part is.
-        what: &'static str,
-    },
-    /// The enum has more variants than one byte counts.
-    #[error("the enum {name} has more than 256 variants")]
-    TooManyVariants {
-        /// Its name.
-        name: String,
-    },
-    /// The struct is larger than a packet.
-    #[error("it takes {size} bytes packed, and a packet holds {PACKED_MAX}: send it in parts")]
-    TooLarge {
-        /// Its size in bytes.
-        size: usize,
-    },
-}
-
 /// The bytes that every value of this type takes.
 ///
 /// # Errors
-/// [`PackedError`]; the type cannot be sent to a device.
+/// Says why the type cannot be sent to a device.
 ///
 /// ```
 /// use blastema_core::Described;
@@ -59,15 +35,21 @@ pub enum PackedError {
 /// assert_eq!(size(<(u8, Option<f64>, [i16; 3])>::layout), Ok(1 + 9 + 6));
 /// assert!(size(String::layout).is_err());
 /// ```
-pub fn size(of: LayoutOf) -> Result<usize, PackedError> {
+pub fn size(of: LayoutOf) -> Result<usize, String> {
     match size_at(of, 0)? {
-        size if size > PACKED_MAX => Err(PackedError::TooLarge { size }),
+        size if size > PACKED_MAX => Err(format!(
+            "it takes {size} bytes packed, and a packet holds {PACKED_MAX}: send it in parts"
+        )),
         size => Ok(size),
     }
 }
 
-fn size_at(of: LayoutOf, depth: usize) -> Result<usize, PackedError> {
-    let endless = |what| Err(PackedError::Unbounded { what });
+fn size_at(of: LayoutOf, depth: usize) -> Result<usize, String> {
+    let endless = |what| {
+        Err(format!(
+            "a {what} has no fixed size: write an array, `[T; n]`, or `#[contract(at_most = n)]`"
+        ))
+    };
     if depth > DEPTH_MAX {
         return endless("type that contains itself");
     }
@@ -79,7 +61,7 @@ fn size_at(of: LayoutOf, depth: usize) -> Result<usize, PackedError> {
         Shape::Tuple(parts) => parts.iter().map(part).sum::<Result<_, _>>()?,
         Shape::Struct(_, fields) => fields_size(fields, depth)?,
         Shape::Enum(name, variants) if variants.len() > 256 => {
-            return Err(PackedError::TooManyVariants { name: name.to_string() });
+            return Err(format!("the enum {name} has more than 256 variants"));
         }
         Shape::Enum(_, variants) => {
             let sizes = variants.iter().map(|variant| fields_size(&variant.fields, depth));
@@ -95,14 +77,14 @@ fn size_at(of: LayoutOf, depth: usize) -> Result<usize, PackedError> {
 }
 
 /// The bytes of each element of a text, a sequence or a set.
-fn element_size(of: LayoutOf, depth: usize) -> Result<usize, PackedError> {
+fn element_size(of: LayoutOf, depth: usize) -> Result<usize, String> {
     match &of().shape {
         Shape::Sequence(of) | Shape::Set(of) => size_at(*of, depth + 1),
         _ => Ok(1),
     }
 }
 
-fn fields_size(fields: &Fields<LayoutOf>, depth: usize) -> Result<usize, PackedError> {
+fn fields_size(fields: &Fields<LayoutOf>, depth: usize) -> Result<usize, String> {
     fields.as_slice().iter().map(|field| size_at(field.of, depth + 1)).sum()
 }
 
@@ -200,7 +182,7 @@ pub fn difference<M: Contract>(theirs: u32) -> Option<String> {
 pub fn pack<T: Described>(value: &T) -> Result<Vec<u8>, EncodeError> {
     let from = codec::encode_fixed(value)?;
     let impossible = |reason| EncodeError::Impossible { reason };
-    size(T::layout).map_err(|error| impossible(error.to_string()))?;
+    size(T::layout).map_err(impossible)?;
     let mut walk = Transcoder { from: &from, to: Vec::new(), packs: true };
     walk.value(T::layout).map_err(|error| impossible(error.to_string()))?;
     Ok(walk.to)
@@ -211,7 +193,7 @@ pub fn pack<T: Described>(value: &T) -> Result<Vec<u8>, EncodeError> {
 /// # Errors
 /// [`DecodeError`]: the bytes are no value of the type.
 pub fn unpack<T: Described>(bytes: &[u8]) -> Result<T, DecodeError> {
-    size(T::layout).map_err(|error| malformed(&error.to_string()))?;
+    size(T::layout).map_err(|error| malformed(&error))?;
     let mut walk = Transcoder { from: bytes, to: Vec::new(), packs: false };
     walk.value(T::layout)?;
     match walk.from.len() {
@@ -256,7 +238,7 @@ impl<'a> Transcoder<'a> {
     }
 
     fn value(&mut self, of: LayoutOf) -> Result<(), DecodeError> {
-        let too_large = |error: PackedError| malformed(&error.to_string());
+        let too_large = |error: String| malformed(&error);
         match &of().shape {
             Shape::Leaf(Primitive::Char) => self.char()?,
             Shape::Leaf(leaf) => drop(self.copy(leaf_size(*leaf).unwrap_or(0))?),

@@ -140,7 +140,7 @@ pub struct DeadLetterCount {
     pub contract: Cow<'static, str>,
     /// Why they did not arrive.
     pub reason: DeadReason,
-    /// How many.
+    /// The number of messages.
     pub count: u64,
 }
 

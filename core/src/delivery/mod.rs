@@ -22,7 +22,8 @@ pub enum Delivery {
     /// readings of which only the newest counts.
     Newest,
     /// Each once and in order, and copies over every direct link and the alternate path: while one
-    /// of them carries, nothing is late. For what must not wait until a failed cable has been noticed.
+    /// of them carries, nothing is late. For what must not wait until a failed cable has been
+    /// noticed.
     Redundant,
 }
 
@@ -84,8 +85,8 @@ pub enum DeliveryError {
         /// The fault for which it is so, with its number; or where to look it up.
         reason: String,
     },
-    /// The message, or the data that a command was made from, was older than its contract allows; or
-    /// a safe command has taken the place of a command that waited.
+    /// The message, or the data that a command was made from, was older than its contract allows;
+    /// or a safe command has taken the place of a command that waited.
     #[error("the message is older than its contract allows")]
     Expired,
     /// No object of this name is known.
@@ -124,20 +125,20 @@ pub enum DeliveryError {
     /// idempotent.
     #[error("it is not known whether the request took effect: {reason}")]
     OutcomeUnknown {
-        /// What became of the way.
+        /// Why the path to the answer is lost.
         reason: String,
     },
     /// What became of the variable's value when its owner's incarnation ended awaits a decision.
     /// Decide by `VariableRef::decide`.
     #[error("{variable} awaits a decision: restore it, take its default, or give it a value")]
     Undecided {
-        /// Which.
+        /// The variable and its owner, such as `target of arm`.
         variable: String,
     },
     /// The variable is not what the writer took it for. Read it again.
     #[error("{variable} has changed: its revision is {revision}")]
     Changed {
-        /// Which.
+        /// The variable and its owner, such as `target of arm`.
         variable: String,
         /// Of which change its value is now.
         revision: u64,
@@ -151,15 +152,15 @@ pub enum DeliveryError {
     /// Another commander holds the actuator. Claim it when that lease has ended.
     #[error("{actuator} is commanded by {by}")]
     Held {
-        /// The actuator.
+        /// The name of the actuator.
         actuator: String,
-        /// Who does, and in which incarnation.
+        /// The commander that holds it, with its incarnation.
         by: String,
     },
     /// The commander has not claimed the actuator, or its lease has ended. Claim it, again.
     #[error("the commander holds no lease of {actuator}, or no more: claim it")]
     LeaseEnded {
-        /// The actuator.
+        /// The name of the actuator.
         actuator: String,
     },
     /// Another commander or primary has taken over: messages of an older epoch are refused.
@@ -187,7 +188,7 @@ pub enum DeliveryError {
     /// No component holds this name of the whole robot now. Try again when it is claimed.
     #[error("the name {name} has no holder")]
     Unclaimed {
-        /// The name.
+        /// The name that has no holder.
         name: String,
     },
     /// The message is larger than what a session carries to another node, whatever its contract
@@ -210,11 +211,11 @@ pub enum DeliveryError {
         /// The limit in bytes.
         limit: usize,
     },
-    /// The request took effect, and its reply could not be written for the caller: its conversion to
-    /// the caller's version panicked, or it cannot be encoded.
+    /// The request took effect, and its reply could not be written for the caller: its conversion
+    /// to the caller's version panicked, or it cannot be encoded.
     #[error("the request took effect, but its reply cannot be sent: {reason}")]
     ReplyUnsent {
-        /// Why.
+        /// Why the reply cannot be sent.
         reason: String,
     },
     /// As much of this class is in flight to the receiver's node as this sender's share allows:
@@ -231,7 +232,7 @@ pub enum DeliveryError {
     /// or send to another object.
     #[error("{}", not_served(.object, .contract, .served))]
     NotServed {
-        /// The object.
+        /// The name of the object.
         object: String,
         /// The contract that it does not serve.
         contract: String,
@@ -255,9 +256,9 @@ pub enum DeliveryError {
     /// The object is a component of another type than the one that was asked for.
     #[error("`{name}` is a `{found}`, and not a `{wanted}`")]
     OtherType {
-        /// The object.
+        /// The name of the object.
         name: String,
-        /// Its type.
+        /// The type of the component that has the name.
         found: String,
         /// The type that was asked for.
         wanted: String,
@@ -269,7 +270,7 @@ pub enum DeliveryError {
         listed("has", .known)
     )]
     NoVariable {
-        /// The object.
+        /// The name of the object.
         object: String,
         /// The contract of the variable that it has not.
         variable: String,
@@ -279,7 +280,7 @@ pub enum DeliveryError {
     /// The sender's own node was shut down.
     #[error("node {node} was shut down")]
     ShutDown {
-        /// The node.
+        /// The name of the node.
         node: String,
     },
     /// The sender itself is isolated, or in its safe state: nothing that it sends gets out.
@@ -316,7 +317,7 @@ pub enum DeliveryError {
         "the port {port} is not connected: write `.connect(\"{port}\", \"COMPONENT#PORT\")` at its node"
     )]
     Unconnected {
-        /// The port.
+        /// The component and its port, such as `laser#scan`.
         port: String,
     },
 }
@@ -403,8 +404,8 @@ impl DeliveryError {
             | DeliveryError::Unconnected { .. }
             | DeliveryError::AgeUnknown { .. }
             | DeliveryError::Forbidden { .. } => Outcome::NotTaken,
-            // The callee may have been stopped while it served; and what cannot be decoded may be the
-            // reply.
+            // The callee may have been stopped while it served; and what cannot be decoded may be
+            // the reply.
             DeliveryError::Stopped
             | DeliveryError::Fenced
             | DeliveryError::SenderIsolated

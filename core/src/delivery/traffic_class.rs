@@ -29,7 +29,8 @@ pub enum TrafficClass {
 /// The contract of replicas.
 const REPLICATION: &str = "blastema/replica";
 /// The contracts that robots stand still without: commands and leases of actuators, who serves,
-/// rosters, claims of names, faults for a recoverer, and the watch of an object of another node. All of them are small.
+/// rosters, claims of names, faults for a recoverer, and the watch of an object of another node.
+/// All of them are small.
 ///
 /// `blastema/serve` and the variables are not among them, for they carry what users send.
 const CONTROL: [&str; 6] = [

@@ -30,7 +30,7 @@ pub enum DetectionOutput {
         fault: Fault,
         /// When it was so.
         at: Instant,
-        /// What happened.
+        /// The step in the fault's history.
         turn: FaultTransition,
     },
     /// Inform the recoverer behind this port.
@@ -149,8 +149,8 @@ mod tests {
     #[test]
     fn a_chain_that_was_struck_keeps_its_record_and_hands_over_again() {
         let mut chain = chain();
-        let told = std::iter::from_fn(|| chain.poll_output()).count();
-        assert_eq!(told, 2, "the fault, and to the recoverer");
+        let outputs = std::iter::from_fn(|| chain.poll_output()).count();
+        assert_eq!(outputs, 2, "the fault, and to the recoverer");
 
         let mut chain = chain.restarted(Instant::from_millis(1));
 

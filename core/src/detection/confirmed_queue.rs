@@ -18,7 +18,7 @@ const SECOND: Duration = Duration::from_nanos(999_999_999);
 /// ```text
 /// hand(item) ─► waiting ─► under way ──handle_confirmed──► done
 ///                 │          │    ▲
-///        full: GivenUp       │    └ patience over, or known to have failed: again
+///        full: GivenUp       │    └ timeout over, or known to have failed: again
 ///                            └ tries used up: GivenUp
 /// ```
 #[derive(Clone, Debug)]
@@ -40,7 +40,7 @@ pub struct ConfirmedQueueLimits {
     pub capacity: usize,
     /// How long a confirmation may take before the item is sent again; doubled from try to try.
     /// Less repairs a loss sooner and repeats more to a slow receiver.
-    pub patience: Duration,
+    pub timeout: Duration,
     /// The longest pause between two tries.
     pub longest: Duration,
     /// After how many tries an item is given up.
@@ -55,7 +55,7 @@ impl Default for ConfirmedQueueLimits {
             // Every one of a thousand objects may have something to tell at the same moment.
             capacity: 1024,
             // Both ends share an arbiter that turns in well under a millisecond.
-            patience: Duration::from_millis(100),
+            timeout: Duration::from_millis(100),
             longest: Duration::from_secs(1),
             // Five seconds in all: a receiver that a guardian has not brought back by then is gone.
             tries: 8,
@@ -72,12 +72,12 @@ pub enum ConfirmedQueueOutput<T> {
     Deliver {
         /// Goes with the item and comes back with the confirmation.
         number: u64,
-        /// The item.
+        /// What the receiver is to confirm.
         item: T,
     },
     /// The item is not sent again: report it to a person.
     GivenUp {
-        /// The item.
+        /// What the receiver has not confirmed.
         item: T,
         /// How often it was sent; zero if there was no room for it.
         tries: u32,
@@ -198,7 +198,7 @@ impl<T: Clone> ConfirmedQueue<T> {
 fn pause(limits: &ConfirmedQueueLimits, tries: u32) -> Duration {
     // Sixteen doublings exceed any sensible longest pause and cannot overflow.
     let doublings = tries.saturating_sub(1).min(16);
-    limits.patience.saturating_mul(1 << doublings).min(limits.longest)
+    limits.timeout.saturating_mul(1 << doublings).min(limits.longest)
 }
 
 impl<T: Clone> Machine for ConfirmedQueue<T> {
@@ -237,7 +237,7 @@ mod tests {
 
     const LIMITS: ConfirmedQueueLimits = ConfirmedQueueLimits {
         capacity: 3,
-        patience: Duration::from_millis(100),
+        timeout: Duration::from_millis(100),
         longest: Duration::from_millis(300),
         tries: 4,
         per_second: 1000,
@@ -247,13 +247,13 @@ mod tests {
         Instant::from_millis(millis)
     }
 
-    fn drain<T: Clone>(handover: &mut ConfirmedQueue<T>) -> Vec<ConfirmedQueueOutput<T>> {
-        std::iter::from_fn(|| handover.poll_output()).collect()
+    fn drain<T: Clone>(queue: &mut ConfirmedQueue<T>) -> Vec<ConfirmedQueueOutput<T>> {
+        std::iter::from_fn(|| queue.poll_output()).collect()
     }
 
     /// What is delivered; panics on anything else.
-    fn delivered(handover: &mut ConfirmedQueue<&'static str>) -> Vec<(u64, &'static str)> {
-        drain(handover)
+    fn delivered(queue: &mut ConfirmedQueue<&'static str>) -> Vec<(u64, &'static str)> {
+        drain(queue)
             .into_iter()
             .map(|handed| match handed {
                 ConfirmedQueueOutput::Deliver { number, item } => (number, item),
@@ -264,41 +264,41 @@ mod tests {
 
     #[test]
     fn items_go_one_at_a_time_and_in_order() {
-        let mut handover = ConfirmedQueue::new(LIMITS, 0);
+        let mut queue = ConfirmedQueue::new(LIMITS, 0);
 
-        handover.hand(1, "a", at(0));
-        handover.hand(1, "b", at(0));
-        assert_eq!(delivered(&mut handover), [(1, "a")]);
+        queue.hand(1, "a", at(0));
+        queue.hand(1, "b", at(0));
+        assert_eq!(delivered(&mut queue), [(1, "a")]);
 
-        handover.handle_confirmed(1, at(1));
-        assert_eq!(delivered(&mut handover), [(2, "b")]);
-        handover.handle_confirmed(2, at(2));
-        assert_eq!(handover.poll_timeout(), None);
+        queue.handle_confirmed(1, at(1));
+        assert_eq!(delivered(&mut queue), [(2, "b")]);
+        queue.handle_confirmed(2, at(2));
+        assert_eq!(queue.poll_timeout(), None);
     }
 
     #[test]
     fn lower_ranks_overtake_what_waits_but_not_what_is_under_way() {
-        let mut handover = ConfirmedQueue::new(LIMITS, 0);
+        let mut queue = ConfirmedQueue::new(LIMITS, 0);
 
-        handover.hand(2, "warning", at(0));
-        handover.hand(2, "error", at(0));
-        handover.hand(0, "critical", at(0));
+        queue.hand(2, "warning", at(0));
+        queue.hand(2, "error", at(0));
+        queue.hand(0, "critical", at(0));
 
-        assert_eq!(delivered(&mut handover), [(1, "warning")]);
-        handover.handle_confirmed(1, at(1));
-        assert_eq!(delivered(&mut handover), [(3, "critical")]);
+        assert_eq!(delivered(&mut queue), [(1, "warning")]);
+        queue.handle_confirmed(1, at(1));
+        assert_eq!(delivered(&mut queue), [(3, "critical")]);
     }
 
     #[test]
     fn what_is_not_confirmed_is_repeated_with_back_off_and_given_up_loudly() {
-        let mut handover = ConfirmedQueue::new(LIMITS, 0);
-        handover.hand(0, "a", at(0));
-        handover.hand(0, "b", at(0));
+        let mut queue = ConfirmedQueue::new(LIMITS, 0);
+        queue.hand(0, "a", at(0));
+        queue.hand(0, "b", at(0));
 
         let mut reported = Vec::new();
         for millis in [0, 100, 300, 600, 900] {
-            handover.handle_timeout(at(millis));
-            reported.extend(drain(&mut handover).into_iter().map(|handed| (millis, handed)));
+            queue.handle_timeout(at(millis));
+            reported.extend(drain(&mut queue).into_iter().map(|handed| (millis, handed)));
         }
 
         let a = |millis| (millis, ConfirmedQueueOutput::Deliver { number: 1, item: "a" });
@@ -309,80 +309,80 @@ mod tests {
 
     #[test]
     fn a_delivery_known_to_have_failed_is_repeated_at_once_and_only_once() {
-        let mut handover = ConfirmedQueue::new(LIMITS, 0);
-        handover.hand(0, "a", at(0));
-        delivered(&mut handover);
+        let mut queue = ConfirmedQueue::new(LIMITS, 0);
+        queue.hand(0, "a", at(0));
+        delivered(&mut queue);
 
-        handover.handle_failed(1, at(1));
-        assert_eq!(delivered(&mut handover), [(1, "a")]);
-        handover.handle_failed(1, at(2));
-        assert_eq!(delivered(&mut handover), []);
+        queue.handle_failed(1, at(1));
+        assert_eq!(delivered(&mut queue), [(1, "a")]);
+        queue.handle_failed(1, at(2));
+        assert_eq!(delivered(&mut queue), []);
 
-        assert_eq!(handover.poll_timeout(), Some(at(201)));
+        assert_eq!(queue.poll_timeout(), Some(at(201)));
     }
 
     #[test]
     fn a_confirmation_of_something_else_changes_nothing() {
-        let mut handover = ConfirmedQueue::new(LIMITS, 7);
-        handover.hand(0, "a", at(0));
-        delivered(&mut handover);
+        let mut queue = ConfirmedQueue::new(LIMITS, 7);
+        queue.hand(0, "a", at(0));
+        delivered(&mut queue);
 
-        handover.handle_confirmed(7, at(1));
-        handover.handle_failed(9, at(1));
+        queue.handle_confirmed(7, at(1));
+        queue.handle_failed(9, at(1));
 
-        assert_eq!(handover.under_way(), Some(&"a"));
-        assert_eq!(delivered(&mut handover), []);
+        assert_eq!(queue.under_way(), Some(&"a"));
+        assert_eq!(delivered(&mut queue), []);
     }
 
     #[test]
     fn when_there_is_no_room_the_least_important_is_given_up() {
-        let mut handover = ConfirmedQueue::new(LIMITS, 0);
+        let mut queue = ConfirmedQueue::new(LIMITS, 0);
         for item in ["under way", "b", "c", "d"] {
-            handover.hand(2, item, at(0));
+            queue.hand(2, item, at(0));
         }
-        drain(&mut handover);
+        drain(&mut queue);
 
-        handover.hand(0, "critical", at(0));
+        queue.hand(0, "critical", at(0));
 
-        assert_eq!(drain(&mut handover), [ConfirmedQueueOutput::GivenUp { item: "d", tries: 0 }]);
+        assert_eq!(drain(&mut queue), [ConfirmedQueueOutput::GivenUp { item: "d", tries: 0 }]);
     }
 
     #[test]
     fn more_than_so_many_a_second_are_held_back() {
-        let mut handover = ConfirmedQueue::new(ConfirmedQueueLimits { per_second: 2, ..LIMITS }, 0);
-        handover.hand(0, "a", at(0));
-        handover.handle_confirmed(1, at(10));
-        handover.hand(0, "b", at(20));
-        handover.handle_confirmed(2, at(30));
-        delivered(&mut handover);
+        let mut queue = ConfirmedQueue::new(ConfirmedQueueLimits { per_second: 2, ..LIMITS }, 0);
+        queue.hand(0, "a", at(0));
+        queue.handle_confirmed(1, at(10));
+        queue.hand(0, "b", at(20));
+        queue.handle_confirmed(2, at(30));
+        delivered(&mut queue);
 
-        handover.hand(0, "c", at(40));
-        assert_eq!(delivered(&mut handover), []);
-        assert_eq!(handover.poll_timeout(), Some(at(1000)));
+        queue.hand(0, "c", at(40));
+        assert_eq!(delivered(&mut queue), []);
+        assert_eq!(queue.poll_timeout(), Some(at(1000)));
 
-        handover.handle_timeout(at(1000));
-        assert_eq!(delivered(&mut handover), [(3, "c")]);
+        queue.handle_timeout(at(1000));
+        assert_eq!(delivered(&mut queue), [(3, "c")]);
     }
 
     #[test]
     fn an_item_is_withdrawn_only_while_it_waits() {
-        let mut handover = ConfirmedQueue::new(LIMITS, 0);
-        handover.hand(0, "a", at(0));
-        handover.hand(0, "b", at(0));
+        let mut queue = ConfirmedQueue::new(LIMITS, 0);
+        queue.hand(0, "a", at(0));
+        queue.hand(0, "b", at(0));
 
-        assert_eq!(handover.withdraw(|&item| item == "a"), None);
-        assert_eq!(handover.withdraw(|&item| item == "b"), Some("b"));
+        assert_eq!(queue.withdraw(|&item| item == "a"), None);
+        assert_eq!(queue.withdraw(|&item| item == "b"), Some("b"));
     }
 
     #[test]
     fn a_restarted_actor_retransmits_under_the_same_number() {
-        let mut handover = ConfirmedQueue::new(LIMITS, 0);
-        handover.hand(0, "a", at(0));
-        handover.hand(0, "b", at(0));
-        delivered(&mut handover);
+        let mut queue = ConfirmedQueue::new(LIMITS, 0);
+        queue.hand(0, "a", at(0));
+        queue.hand(0, "b", at(0));
+        delivered(&mut queue);
 
-        let mut handover = handover.restarted(at(5));
+        let mut queue = queue.restarted(at(5));
 
-        assert_eq!(delivered(&mut handover), [(1, "a")]);
+        assert_eq!(delivered(&mut queue), [(1, "a")]);
     }
 }

@@ -2,7 +2,7 @@
 
 use super::FaultLog;
 use crate::sorted::{SortedMap, SortedSet};
-use crate::{Fault, FaultId, FaultKind, FaultLocation, NodeName, ObjectAddress, ObjectName};
+use crate::{FaultId, FaultLocation, NodeName, ObjectAddress, ObjectName};
 use std::sync::Arc;
 
 /// The dependencies of this node's objects.
@@ -74,43 +74,11 @@ impl DependencyIndex {
         fault_log: &FaultLog,
     ) -> Option<FaultId> {
         let needs = self.needs_of(location);
-        let down =
-            needs.iter().flat_map(|need| fault_log.open_faults_at(need)).filter(|f| is_down(f));
+        let down = needs
+            .iter()
+            .flat_map(|need| fault_log.open_faults_at(need))
+            .filter(|f| f.kind.is_down());
         down.filter(|fault| fault.location != *location).map(|fault| fault_log.root(fault.id)).min()
-    }
-}
-
-/// Whether a place with this fault no longer serves those that depend on it.
-pub(super) fn is_down(fault: &Fault) -> bool {
-    match fault.kind {
-        FaultKind::Panic
-        | FaultKind::UnexpectedExit
-        | FaultKind::Hang
-        | FaultKind::Silence
-        | FaultKind::ErrorState
-        | FaultKind::InitializationFailed
-        | FaultKind::Fatal
-        | FaultKind::LinkDown
-        | FaultKind::NodeLost
-        | FaultKind::NodeFaulty
-        | FaultKind::NodeInSafeState
-        | FaultKind::ServiceUnavailable
-        | FaultKind::Unavailable
-        | FaultKind::CrashLoop
-        | FaultKind::RestartStorm => true,
-        FaultKind::CheckFailed
-        | FaultKind::Overload
-        | FaultKind::ContractMismatch
-        | FaultKind::LinkDegraded
-        | FaultKind::NameTaken
-        | FaultKind::CommanderGone
-        | FaultKind::Unreplicated
-        | FaultKind::StateLost
-        | FaultKind::NodePaused
-        | FaultKind::Insecure
-        | FaultKind::Forbidden
-        | FaultKind::ConnectionLost
-        | FaultKind::Custom(_) => false,
     }
 }
 

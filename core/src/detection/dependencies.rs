@@ -18,7 +18,7 @@ pub enum DependencyError {
         hint(nearest.as_deref(), known)
     )]
     Unknown {
-        /// The object.
+        /// The object that declares the dependency.
         name: ObjectName,
         /// What it is said to depend on.
         needed: String,
@@ -31,7 +31,7 @@ pub enum DependencyError {
     /// A dependency of an object is not a valid name.
     #[error("what {name} depends on: {error}")]
     Name {
-        /// The object.
+        /// The object that declares the dependency.
         name: ObjectName,
         /// What is wrong with the name.
         error: NameError,

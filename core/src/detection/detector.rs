@@ -1,7 +1,9 @@
 //! What is wrong, where, and why: the judge of the fault chain.
 
-use super::correlation::{DependencyIndex, is_down};
-use super::{FaultLog, FaultNotice, FaultRecord, FaultTransition, Observation, RecoveryOutcome};
+use super::correlation::DependencyIndex;
+use super::{
+    FaultEntry, FaultLog, FaultNotice, FaultRecord, FaultTransition, Observation, RecoveryOutcome,
+};
 use crate::sorted::SortedMap;
 use crate::{
     Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant, Lifecycle, Machine, NodeName,
@@ -54,7 +56,7 @@ pub struct DetectorLimits {
     pub next_incarnation: Duration,
     /// So many offences of another node within `offences_period` are a fault. More forgives more.
     pub offences: u32,
-    /// See `offences`.
+    /// The period in which `offences` are counted.
     pub offences_period: Duration,
     /// This many restarts of another node within `crash_loop_period` are a crash loop.
     pub crash_loop_restarts: u32,
@@ -112,7 +114,7 @@ pub enum DetectorOutput {
         fault: Fault,
         /// When it was so.
         at: Instant,
-        /// What happened.
+        /// The step in the fault's history.
         turn: FaultTransition,
     },
 }
@@ -164,7 +166,7 @@ enum Cause {
     Itself,
     /// Whatever is down that it depends on.
     Above,
-    /// This one.
+    /// The fault with this number.
     Known(FaultId),
     /// This one, on the same thread: reported, and handed over only if it is still open afterwards.
     Behind(FaultId),
@@ -200,20 +202,18 @@ impl Detector {
 
     /// The recoverer reports its progress with a fault.
     pub fn handle_outcome(&mut self, id: FaultId, at: Instant, outcome: RecoveryOutcome) {
-        let Some(entry) = self.fault_log.entry(id) else { return };
+        let Some(entry) = self.fault_log.entry_mut(id) else { return };
         if !entry.stands() || entry.recovered_at.is_some() {
             return;
         }
-        let fault = entry.fault.clone();
-        self.fault_log.treat(id, |treatment| treatment.end_due = None);
+        entry.end_due = None;
         match outcome {
             RecoveryOutcome::Decided { action } => self.decide(id, at, action),
             RecoveryOutcome::Failed { action, reason } => {
-                let turn = FaultTransition::Failed { action, reason };
-                self.outputs.push_back(DetectorOutput::Tell { fault, at, turn });
+                self.turn(id, at, FaultTransition::Failed { action, reason }, |_| ());
             }
             RecoveryOutcome::Recovered => {
-                self.fault_log.treat(id, |treatment| treatment.handed = false);
+                entry.handed = false;
                 self.recover(id, at);
             }
             RecoveryOutcome::Waits => self.await_next_incarnation(id, at),
@@ -241,30 +241,29 @@ impl Detector {
     fn find(&mut self, scene: &Scene, kind: FaultKind, detail: String, cause: Cause) -> FaultId {
         let is_behind = matches!(cause, Cause::Behind(_));
         let known = self.fault_log.open_fault(&scene.location, &kind);
-        let incarnation = known.and_then(|id| Some(self.fault_log.entry(id)?.fault.incarnation));
-        let known = known.filter(|&id| self.repeat(id, scene, &detail));
-        // What is its own cause now was taken for a symptom before.
-        let is_own = matches!(cause, Cause::Itself);
-        let is_symptom =
-            |id| self.fault_log.entry(id).is_some_and(|e| e.fault.symptom_of.is_some());
-        let turns = known.is_some_and(|id| is_own && is_symptom(id));
-        let id = match known {
-            Some(id) if is_behind || !(turns || self.fault_log.treatment(id).unhanded) => {
-                let handed = self.fault_log.treatment(id).handed;
-                if handed && incarnation < Some(scene.incarnation) {
-                    // What was done about it has not helped.
-                    self.notify(id, scene.at);
+        let known = known.and_then(|id| Some((id, self.fault_log.entry(id)?.fault.incarnation)));
+        let known = known.filter(|&(id, _)| self.repeat(id, scene, &detail));
+        let id = match known.and_then(|(id, then)| Some((self.fault_log.entry(id)?, then))) {
+            Some((entry, then)) => {
+                let id = entry.fault.id;
+                // What is its own cause now was taken for a symptom before.
+                let turns = matches!(cause, Cause::Itself) && entry.fault.symptom_of.is_some();
+                if is_behind || !(turns || entry.unhanded) {
+                    if entry.handed && then < scene.incarnation {
+                        // What was done about it has not helped.
+                        self.notify(id, scene.at);
+                    }
+                    return id;
                 }
-                return id;
-            }
-            Some(id) => {
                 // Where it was a symptom, it is none any more, or has outlived its root.
                 self.explain(&[id], None, scene.at);
                 id
             }
             None => self.record(scene, kind, detail, cause),
         };
-        self.fault_log.treat(id, |treatment| treatment.unhanded = is_behind);
+        if let Some(entry) = self.fault_log.entry_mut(id) {
+            entry.unhanded = is_behind;
+        }
         if is_behind {
             return id;
         }
@@ -275,9 +274,9 @@ impl Detector {
 
     /// A recoverer is to decide about a fault.
     fn notify(&mut self, id: FaultId, at: Instant) {
-        let Some(entry) = self.fault_log.entry(id) else { return };
+        let Some(entry) = self.fault_log.entry_mut(id) else { return };
+        (entry.handed, entry.end_due) = (true, None);
         let notice = FaultNotice::Found(entry.fault.clone());
-        self.fault_log.treat(id, |treatment| (treatment.handed, treatment.end_due) = (true, None));
         self.outputs.push_back(DetectorOutput::Notify { notice, at });
     }
 
@@ -298,10 +297,7 @@ impl Detector {
             entry.first_detail.get_or_insert(before);
         }
         if entry.fault.count.is_power_of_two() {
-            let fault = entry.fault.clone();
-            let tell =
-                DetectorOutput::Tell { fault, at: scene.at, turn: FaultTransition::Repeated };
-            self.outputs.push_back(tell);
+            self.turn(id, scene.at, FaultTransition::Repeated, |_| ());
         }
         true
     }
@@ -341,14 +337,9 @@ impl Detector {
             symptom_of,
             count: 1,
         };
-        self.fault_log.open(fault.clone());
-        let explicable = matches!(cause, Cause::Above);
-        self.fault_log.treat(id, |treatment| treatment.explicable = explicable);
-        self.outputs.push_back(DetectorOutput::Tell {
-            fault,
-            at: scene.at,
-            turn: FaultTransition::Found,
-        });
+        self.fault_log.open(fault);
+        let is_explicable = matches!(cause, Cause::Above);
+        self.turn(id, scene.at, FaultTransition::Found, |entry| entry.explicable = is_explicable);
         id
     }
 
@@ -356,7 +347,7 @@ impl Detector {
     /// symptom.
     fn explain_by(&mut self, id: FaultId, at: Instant) {
         let Some(entry) = self.fault_log.entry(id) else { return };
-        if !is_down(&entry.fault) {
+        if !entry.fault.kind.is_down() {
             return;
         }
         let location = entry.fault.location.clone();
@@ -368,32 +359,42 @@ impl Detector {
         };
         let explained: Vec<FaultId> = self
             .fault_log
-            .all_open()
-            .filter(|fault| {
+            .all_open_entries()
+            .filter(|FaultEntry { fault, explicable, .. }| {
                 fault.symptom_of.is_none()
                     && fault.id != root
                     && fault.id != id
                     && fault.found_at - Instant::ORIGIN >= since
-                    && self.fault_log.treatment(fault.id).explicable
+                    && *explicable
                     && (is_behind(fault)
                         || self.needs.needs_of(&fault.location).contains(&location))
             })
-            .map(|fault| fault.id)
+            .map(|entry| entry.fault.id)
             .collect();
         self.explain(&explained, Some(root), at);
     }
 
     /// It has turned out what these are symptoms of, or that they are roots.
     fn explain(&mut self, faults: &[FaultId], root: Option<FaultId>, at: Instant) {
-        for id in faults {
-            let Some(entry) = self.fault_log.entry_mut(*id) else { continue };
-            if entry.fault.symptom_of == root {
-                continue;
+        for &id in faults {
+            if self.fault_log.entry(id).is_some_and(|entry| entry.fault.symptom_of != root) {
+                self.turn(id, at, FaultTransition::Explained, |e| e.fault.symptom_of = root);
             }
-            entry.fault.symptom_of = root;
-            let (fault, turn) = (entry.fault.clone(), FaultTransition::Explained);
-            self.outputs.push_back(DetectorOutput::Tell { fault, at, turn });
         }
+    }
+
+    /// Something happens to a fault: writes it down, and reports it.
+    fn turn(
+        &mut self,
+        id: FaultId,
+        at: Instant,
+        turn: FaultTransition,
+        change: impl FnOnce(&mut FaultEntry),
+    ) {
+        let Some(entry) = self.fault_log.entry_mut(id) else { return };
+        change(entry);
+        let fault = entry.fault.clone();
+        self.outputs.push_back(DetectorOutput::Tell { fault, at, turn });
     }
 
     /// The cause of the fault of this kind at this place, if there is one, is away.
@@ -423,70 +424,128 @@ impl Detector {
 
     /// A fault is over, and this is not reported yet.
     fn withdraw(&mut self, id: FaultId, at: Instant) {
-        let Some(entry) = self.fault_log.entry(id) else { return };
-        let location = entry.fault.location.clone();
-        if self.fault_log.treat(id, |treatment| treatment.handed = false).handed {
-            let notice = FaultNotice::Cleared { id, location };
+        let Some(entry) = self.fault_log.entry_mut(id) else { return };
+        if std::mem::take(&mut entry.handed) {
+            let notice = FaultNotice::Cleared { id, location: entry.fault.location.clone() };
             self.outputs.push_back(DetectorOutput::Notify { notice, at });
         }
     }
 
     /// Service is restored. Of an object that is the repair as well.
     fn recover(&mut self, id: FaultId, at: Instant) {
-        self.fault_log.treat(id, |treatment| treatment.end_due = None);
         let Some(entry) = self.fault_log.entry_mut(id) else { return };
+        entry.end_due = None;
         if entry.recovered_at.is_some() || !entry.stands() {
             return;
         }
         (entry.recovered_at, entry.given_up) = (Some(at), None);
-        let fault = entry.fault.clone();
-        if fault.is_repaired_by_recovery() {
+        if entry.fault.is_repaired_by_recovery() {
             self.fault_log.repair(id, at);
         }
-        self.outputs.push_back(DetectorOutput::Tell {
-            fault,
-            at,
-            turn: FaultTransition::Recovered,
-        });
+        self.turn(id, at, FaultTransition::Recovered, |_| ());
     }
 
     /// The cause is away.
     fn repair(&mut self, id: FaultId, at: Instant) {
-        let Some(entry) = self.fault_log.entry(id).filter(|entry| entry.stands()) else { return };
-        let fault = entry.fault.clone();
-        self.fault_log.repair(id, at);
-        self.outputs.push_back(DetectorOutput::Tell { fault, at, turn: FaultTransition::Cleared });
+        if self.fault_log.entry(id).is_some_and(FaultEntry::stands) {
+            self.fault_log.repair(id, at);
+            self.turn(id, at, FaultTransition::Cleared, |_| ());
+        }
     }
 
     /// What is done about a fault.
     fn decide(&mut self, id: FaultId, at: Instant, action: String) {
         for id in self.sharing_the_outcome_of(id) {
-            let Some(entry) = self.fault_log.entry_mut(id) else { continue };
-            entry.decided = Some((at, action.clone()));
-            let fault = entry.fault.clone();
             let turn = FaultTransition::Decided { action: action.clone() };
-            self.outputs.push_back(DetectorOutput::Tell { fault, at, turn });
+            self.turn(id, at, turn, |entry| entry.decided = Some((at, action.clone())));
         }
     }
 
     /// Nothing more is tried. The fault stands.
     fn give_up(&mut self, id: FaultId, at: Instant, reason: String) {
         for id in self.sharing_the_outcome_of(id) {
-            self.fault_log.treat(id, |treatment| {
-                (treatment.end_due, treatment.unhanded) = (None, false);
-            });
             let root = self.fault_log.entry(id).and_then(|entry| entry.fault.symptom_of);
             let root = root.and_then(|root| self.fault_log.entry(root)).map(|root| {
                 let Fault { id, kind, location, .. } = &root.fault;
                 format!("; it is a symptom of fault {}, {kind} of {location}", id.0)
             });
             let reason = reason.clone() + &root.unwrap_or_default();
-            let Some(entry) = self.fault_log.entry_mut(id) else { continue };
-            entry.given_up = Some((at, reason.clone()));
-            let fault = entry.fault.clone();
-            let turn = FaultTransition::GaveUp { reason };
-            self.outputs.push_back(DetectorOutput::Tell { fault, at, turn });
+            let turn = FaultTransition::GaveUp { reason: reason.clone() };
+            self.turn(id, at, turn, |entry| {
+                (entry.end_due, entry.unhanded) = (None, false);
+                entry.given_up = Some((at, reason));
+            });
         }
+    }
+
+    /// This fault ends with the incarnation after it, which may have ended before the fault was
+    /// told.
+    fn await_next_incarnation(&mut self, id: FaultId, at: Instant) {
+        let Some(entry) = self.fault_log.entry_mut(id) else { return };
+        entry.unhanded = true;
+        let Fault { location, incarnation, .. } = entry.fault.clone();
+        let FaultLocation::Object(address) = &location else { return };
+        let seen = self.objects.get(&address.object);
+        match seen.filter(|seen| seen.incarnation > incarnation).map(|seen| seen.state) {
+            Some(Lifecycle::Active) => {
+                self.recover(id, at);
+                self.withdraw(id, at);
+            }
+            Some(Lifecycle::Finalized) => self.end_unhanded_at(&location, at),
+            _ => {
+                let given_up = self.fault_log.open_faults_at(&location).find_map(|fault| {
+                    let later = Some(fault.id).filter(|_| fault.incarnation > incarnation)?;
+                    self.fault_log.entry(later)?.given_up.clone()
+                });
+                if let Some((_, reason)) = given_up {
+                    self.give_up(id, at, reason);
+                }
+            }
+        }
+    }
+
+    /// An object that ended in order takes along what only its next incarnation could have ended,
+    /// unless it was stopped to be replaced: then that incarnation begins soon.
+    fn end_unhanded_at(&mut self, location: &FaultLocation, at: Instant) {
+        let ended: Vec<FaultId> = self.unhanded_at(location).map(|fault| fault.id).collect();
+        let due = Some(at + self.limits.next_incarnation);
+        for id in ended {
+            if let Some(entry) = self.fault_log.entry_mut(id) {
+                entry.end_due = due;
+            }
+        }
+    }
+
+    /// No incarnation has begun in time after the one that ended in order.
+    fn end_unhanded(&mut self, id: FaultId, at: Instant) {
+        let Some(entry) = self.fault_log.entry_mut(id) else { return };
+        entry.end_due = None;
+        let FaultLocation::Object(address) = &entry.fault.location else { return };
+        let seen = self.objects.get(&address.object);
+        if entry.unhanded
+            && !self.ending
+            && seen.is_some_and(|seen| seen.state == Lifecycle::Finalized)
+        {
+            self.end(id, at);
+        }
+    }
+
+    /// This fault, and those that were to end with its incarnation: of the incarnations before it,
+    /// or, where this one is its end, of a reset that came to wait.
+    fn sharing_the_outcome_of(&self, id: FaultId) -> Vec<FaultId> {
+        let Some(entry) = self.fault_log.entry(id) else { return Vec::new() };
+        let (fault, ends) = (&entry.fault, entry.fault.kind.is_down());
+        let shares = |other: &&Fault| {
+            other.incarnation < fault.incarnation
+                || ends && other.incarnation == fault.incarnation && other.id != id
+        };
+        let sharing = self.unhanded_at(&fault.location).filter(shares).map(|other| other.id);
+        std::iter::once(id).chain(sharing).collect()
+    }
+
+    fn unhanded_at(&self, location: &FaultLocation) -> impl Iterator<Item = &Fault> {
+        let open = self.fault_log.open_faults_at(location);
+        open.filter(|fault| self.fault_log.entry(fault.id).is_some_and(|entry| entry.unhanded))
     }
 }
 
@@ -516,7 +575,6 @@ impl Machine for Detector {
     }
 }
 
-mod next_incarnation;
 mod node_history;
 mod pause;
 mod rules;

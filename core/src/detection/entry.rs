@@ -13,17 +13,38 @@ pub(super) struct MonitoredObject {
     pub(super) guarded: bool,
     /// It may end itself in order.
     pub(super) may_end: bool,
-    pub(super) last_sign: Option<Instant>,
+    pub(super) signs: SignsOfLife,
     pub(super) restarts: u32,
-    pub(super) suspicions: u32,
-    /// It waits behind the hang of another object.
-    pub(super) suspect: bool,
-    /// Silence was observed and not yet broken.
-    pub(super) silent: bool,
     pub(super) end: Option<LastExit>,
     pub(super) isolated: bool,
     /// There only while it holds something: most objects are well.
     remarks: Option<Box<Remarks>>,
+}
+
+/// The signs of life of an incarnation, and what kept it from giving them.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct SignsOfLife {
+    pub(super) last: Option<Instant>,
+    /// Silence was observed and not yet broken.
+    pub(super) silent: bool,
+    /// It waits behind the hang of another object.
+    suspect: bool,
+    /// How often it came to wait so.
+    suspicions: u32,
+}
+
+impl SignsOfLife {
+    /// It moves, and waits behind no other object.
+    pub(super) fn handle_sign(&mut self, now: Instant) {
+        (self.last, self.suspect) = (Some(now), false);
+    }
+
+    /// Another object on its thread hangs.
+    pub(super) fn handle_suspicion(&mut self) {
+        if !std::mem::replace(&mut self.suspect, true) {
+            self.suspicions = self.suspicions.saturating_add(1);
+        }
+    }
 }
 
 /// What is to be said of an object that is not well.
@@ -64,11 +85,8 @@ impl MonitoredObject {
             state: None,
             guarded: false,
             may_end: false,
-            last_sign: None,
+            signs: SignsOfLife::default(),
             restarts: 0,
-            suspicions: 0,
-            suspect: false,
-            silent: false,
             end: None,
             isolated: false,
             remarks: None,
@@ -124,9 +142,9 @@ impl MonitoredObject {
         match self.end {
             Some(LastExit::Died) => Opinion::Failed,
             Some(LastExit::Stopped | LastExit::Finalized) => Opinion::Stopped,
-            None if self.silent || self.current().is_some() => Opinion::Failed,
-            None if self.suspect => Opinion::Suspect,
-            None if self.last_sign.is_none() => Opinion::Unheard,
+            None if self.signs.silent || self.current().is_some() => Opinion::Failed,
+            None if self.signs.suspect => Opinion::Suspect,
+            None if self.signs.last.is_none() => Opinion::Unheard,
             None => Opinion::Trusted,
         }
     }
@@ -138,9 +156,9 @@ impl MonitoredObject {
             state: self.state,
             waiting_for: self.noted(&NoteCause::Declared(FaultKind::Unavailable)),
             opinion: self.opinion(),
-            last_sign: self.last_sign.map(|sign| now - sign),
+            last_sign: self.signs.last.map(|sign| now - sign),
             restarts: self.restarts,
-            suspicions: self.suspicions,
+            suspicions: self.signs.suspicions,
             current: self
                 .current()
                 .map(|(during, since)| CurrentHandler { during, age: now - since }),

@@ -14,31 +14,10 @@ use crate::{Fault, FaultId, FaultKind, FaultLocation, Instant};
 /// the oldest of all, with its latch, so that it would be found again.
 #[derive(Clone, Debug)]
 pub struct FaultLog {
-    entries: SortedMap<FaultId, RecordedFault>,
+    entries: SortedMap<FaultId, FaultEntry>,
     latches: SortedMap<(FaultLocation, FaultKind), FaultId>,
     capacity: usize,
     dropped: u64,
-}
-
-/// An entry, and what the detector has to do about it yet.
-#[derive(Clone, Debug)]
-struct RecordedFault {
-    entry: FaultEntry,
-    treatment: Treatment,
-}
-
-/// What the detector has to do about a fault yet.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Treatment {
-    /// It may turn out to be a symptom.
-    pub(super) explicable: bool,
-    /// The notifier knows of it, and does not know it to be over.
-    pub(super) handed: bool,
-    /// It stands, and no recoverer treats it: a symptom behind what keeps its thread, which was
-    /// only reported, or a fault whose next incarnation is on its way already.
-    pub(super) unhanded: bool,
-    /// When it is over, unless the next incarnation of its object has begun.
-    pub(super) end_due: Option<Instant>,
 }
 
 impl FaultLog {
@@ -60,8 +39,7 @@ impl FaultLog {
         }
         let (scope, kind, id) = (scope(&fault.location), fault.kind.clone(), fault.id);
         self.latches.insert((scope, kind), id);
-        let (entry, treatment) = (FaultEntry::new(fault), Treatment::default());
-        self.entries.insert(id, RecordedFault { entry, treatment });
+        self.entries.insert(id, FaultEntry::new(fault));
     }
 
     /// The fault of this kind that stands at this place.
@@ -82,12 +60,16 @@ impl FaultLog {
 
     /// Every fault that stands.
     pub fn all_open(&self) -> impl Iterator<Item = &Fault> {
-        self.latches.values().filter_map(|&id| Some(&self.entry(id)?.fault))
+        self.all_open_entries().map(|entry| &entry.fault)
+    }
+
+    pub(super) fn all_open_entries(&self) -> impl Iterator<Item = &FaultEntry> {
+        self.latches.values().filter_map(|&id| self.entry(id))
     }
 
     /// Every fault that is recorded, the latest first, whether it stands or not.
     pub(super) fn latest_first(&self) -> impl Iterator<Item = &Fault> {
-        self.entries.values().rev().map(|recorded| &recorded.entry.fault)
+        self.entries.values().rev().map(|entry| &entry.fault)
     }
 
     /// Whether this fault still stands, given up or not.
@@ -97,44 +79,27 @@ impl FaultLog {
         })
     }
 
-    /// One fault.
+    /// The entry of one fault; `None` where the log has none with this number.
     pub fn entry(&self, id: FaultId) -> Option<&FaultEntry> {
-        self.entries.get(&id).map(|recorded| &recorded.entry)
+        self.entries.get(&id)
     }
 
     /// One fault, to write down what becomes of it. Its place and kind must not be changed.
     pub(super) fn entry_mut(&mut self, id: FaultId) -> Option<&mut FaultEntry> {
-        self.entries.get_mut(&id).map(|recorded| &mut recorded.entry)
-    }
-
-    /// What is to be done about one fault yet; nothing about one that is not recorded.
-    pub(super) fn treatment(&self, id: FaultId) -> Treatment {
-        self.entries.get(&id).map_or(Treatment::default(), |recorded| recorded.treatment)
-    }
-
-    /// Changes what is to be done about one fault, if it is recorded. Returns what was before.
-    pub(super) fn treat(&mut self, id: FaultId, change: impl FnOnce(&mut Treatment)) -> Treatment {
-        let Some(RecordedFault { treatment, .. }) = self.entries.get_mut(&id) else {
-            return Treatment::default();
-        };
-        let before = *treatment;
-        change(treatment);
-        before
+        self.entries.get_mut(&id)
     }
 
     /// The next fault that is over unless an incarnation begins, and when.
     pub(super) fn next_end(&self) -> Option<(Instant, FaultId)> {
         let all = self.entries.iter();
-        all.filter_map(|(&id, recorded)| Some((recorded.treatment.end_due?, id))).min()
+        all.filter_map(|(&id, entry)| Some((entry.end_due?, id))).min()
     }
 
     /// Writes down that the cause of a fault is away, and lifts its latch. Only the notifier may have
     /// to be informed yet.
     pub(super) fn repair(&mut self, id: FaultId, at: Instant) {
-        self.treat(id, |treatment| {
-            *treatment = Treatment { handed: treatment.handed, ..Treatment::default() };
-        });
         let Some(entry) = self.entry_mut(id) else { return };
+        (entry.explicable, entry.unhanded, entry.end_due) = (false, false, None);
         entry.repaired_at = Some(at);
         let latch = (scope(&entry.fault.location), entry.fault.kind.clone());
         if self.latches.get(&latch) == Some(&id) {
@@ -159,16 +124,16 @@ impl FaultLog {
     pub fn read(&self) -> FaultRecord {
         let all = self.entries.iter();
         let mut entries: Vec<(FaultId, &FaultEntry)> =
-            all.map(|(&id, recorded)| (self.root(id), &recorded.entry)).collect();
+            all.map(|(&id, entry)| (self.root(id), entry)).collect();
         entries.sort_by_key(|&(root, entry)| (root, entry.fault.id != root, entry.fault.id));
         let entries = entries.into_iter().map(|(_, entry)| entry.clone()).collect();
         FaultRecord { entries, dropped: self.dropped }
     }
 
     fn drop_oldest(&mut self) {
-        let over = |recorded: &&RecordedFault| !recorded.entry.stands();
+        let over = |entry: &&FaultEntry| !entry.stands();
         let oldest = self.entries.values().find(over).or(self.entries.values().next());
-        let Some(id) = oldest.map(|recorded| recorded.entry.fault.id) else { return };
+        let Some(id) = oldest.map(|entry| entry.fault.id) else { return };
         self.latches.retain(|_, latched| *latched != id);
         self.entries.remove(&id);
         self.dropped += 1;

@@ -1,7 +1,7 @@
 //! Which objects live, in which incarnation and state: the table, and the changes in it.
 
 use super::entry::{LastExit, MonitoredObject, NoteCause, describe};
-use super::peer_table::{PeerChange, PeerTable};
+use super::peer_table::PeerTable;
 use super::{
     ExitReason, Finding, LinkCondition, MonitorRow, NodeCondition, ObjectKind, Observation,
     Registration, RegistrationError, WorkProgress,
@@ -27,7 +27,7 @@ pub struct Monitor {
     node: NodeName,
     limits: MonitorLimits,
     objects: SortedMap<ObjectName, MonitoredObject>,
-    around: PeerTable,
+    peers: PeerTable,
     outputs: VecDeque<Observation>,
     /// Declared faults that end by themselves.
     holds: SortedMap<(ObjectName, FaultKind), Hold>,
@@ -65,7 +65,7 @@ impl Monitor {
             node,
             limits,
             objects: SortedMap::new(),
-            around: PeerTable::default(),
+            peers: PeerTable::default(),
             outputs: VecDeque::new(),
             holds: SortedMap::new(),
             ending: false,
@@ -80,10 +80,10 @@ impl Monitor {
     /// [`RegistrationError::TableFull`]
     pub fn enrol(
         &mut self,
-        enrolment: Registration,
+        registration: Registration,
         now: Instant,
     ) -> Result<(), RegistrationError> {
-        let Registration { object, kind, incarnation, depends_on, may_end } = enrolment;
+        let Registration { object, kind, incarnation, depends_on, may_end } = registration;
         if self.is_full() && !self.objects.contains_key(&object) {
             return Err(RegistrationError::TableFull { object, limit: self.limits.rows });
         }
@@ -174,7 +174,6 @@ impl Monitor {
         entry.end = Some(if died { LastExit::Died } else { LastExit::Stopped });
         entry.state = Some(if died { Lifecycle::Fatal } else { Lifecycle::Finalized });
         entry.note(NoteCause::End, describe(&exit));
-        entry.suspect = false;
         self.observe_object(object, incarnation, Finding::Exited { exit, restarted_as }, now);
         if let Some(next) = restarted_as {
             self.admit(object, next);
@@ -201,7 +200,7 @@ impl Monitor {
         let Some(entry) = self.admit(object, incarnation) else { return };
         entry.guarded = true;
         entry.state = Some(state);
-        entry.last_sign = Some(now);
+        entry.signs.last = Some(now);
         match &reason {
             Some(reason) => entry.note(NoteCause::State, reason.clone()),
             None => entry.erase(&NoteCause::State),
@@ -232,7 +231,7 @@ impl Monitor {
         let is_held = self.holds.contains_key(&key);
         let Some(entry) = self.admit(object, incarnation) else { return };
         if entry.end.is_none() {
-            entry.last_sign = Some(now);
+            entry.signs.last = Some(now);
         }
         // One that stands without a hold keeps standing.
         let is_latched = entry.noted(&cause).is_some() && !is_held;
@@ -254,7 +253,7 @@ impl Monitor {
     ) {
         let Some(entry) = self.admit(object, incarnation) else { return };
         if entry.end.is_none() {
-            entry.last_sign = Some(now);
+            entry.signs.last = Some(now);
         }
         entry.erase(&NoteCause::Declared(kind.clone()));
         self.holds.remove(&(object.clone(), kind.clone()));
@@ -291,14 +290,12 @@ impl Monitor {
         condition: LinkCondition,
         now: Instant,
     ) {
-        if self.is_full() && !self.around.knows_link(&node, &link) {
+        if self.is_full() && !self.peers.knows_link(&node, &link) {
             self.refused += 1;
             return;
         }
-        let news = self.around.handle_link(node, link, neighbour, condition, now);
-        if let Some(PeerChange { location, incarnation, finding }) = news {
-            self.observe(location, incarnation, finding, now);
-        }
+        let news = self.peers.handle_link(node, link, neighbour, condition, now);
+        news.into_iter().for_each(|news| self.observe(news));
     }
 
     /// The router reports how a node is. The same condition again is no news; a newer incarnation
@@ -310,15 +307,12 @@ impl Monitor {
         condition: NodeCondition,
         now: Instant,
     ) {
-        if self.is_full() && !self.around.knows_node(&node) {
+        if self.is_full() && !self.peers.knows_node(&node) {
             self.refused += 1;
             return;
         }
-        match self.around.handle_node(node, incarnation, condition, now) {
-            Ok(Some(PeerChange { location, incarnation, finding })) => {
-                self.observe(location, incarnation, finding, now);
-            }
-            Ok(None) => {}
+        match self.peers.handle_node(node, incarnation, condition, now) {
+            Ok(news) => news.into_iter().for_each(|news| self.observe(news)),
             Err(_) => self.stale += 1,
         }
     }
@@ -344,7 +338,7 @@ impl Monitor {
             let address = ObjectAddress::new(self.node.clone(), object.clone());
             entry.row(FaultLocation::Object(address), now)
         });
-        objects.chain(self.around.rows(now)).collect()
+        objects.chain(self.peers.rows(now)).collect()
     }
 
     /// How often something came from an incarnation that is over.
@@ -358,7 +352,7 @@ impl Monitor {
     }
 
     fn is_full(&self) -> bool {
-        self.objects.len() + self.around.len() >= self.limits.rows
+        self.objects.len() + self.peers.len() >= self.limits.rows
     }
 
     /// The entry of an object for news of this incarnation; none if that incarnation is over.
@@ -409,20 +403,14 @@ impl Monitor {
         now: Instant,
     ) {
         let address = ObjectAddress::new(self.node.clone(), object.clone());
-        self.observe(FaultLocation::Object(address), incarnation, finding, now);
+        let location = FaultLocation::Object(address);
+        self.observe(Observation { location, incarnation, finding, seen_at: now });
     }
 
-    fn observe(
-        &mut self,
-        location: FaultLocation,
-        incarnation: Incarnation,
-        finding: Finding,
-        now: Instant,
-    ) {
-        if self.ending && !finding.is_own_doing() {
-            return;
+    fn observe(&mut self, observation: Observation) {
+        if !self.ending || observation.finding.is_own_doing() {
+            self.outputs.push_back(observation);
         }
-        self.outputs.push_back(Observation { location, incarnation, finding, seen_at: now });
     }
 }
 

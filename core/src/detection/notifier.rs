@@ -32,7 +32,7 @@ impl Default for NotifierLimits {
     fn default() -> Self {
         let remote = ConfirmedQueueLimits {
             // A round trip over two hops and a change of path takes less.
-            patience: Duration::from_millis(250),
+            timeout: Duration::from_millis(250),
             longest: Duration::from_secs(2),
             // Faults that another node's recoverer cannot keep up with do not help it, and the
             // network has other things to carry.
@@ -51,9 +51,9 @@ impl Default for NotifierLimits {
 /// The recoverer that is notified.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum RecovererPort {
-    /// This node's.
+    /// The recoverer of this node.
     Local,
-    /// Another node's.
+    /// The recoverer of another node.
     Remote(NodeName),
 }
 

@@ -7,13 +7,13 @@ use std::time::Duration;
 /// One observation that the monitor reports to the detector.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Observation {
-    /// Where.
+    /// The object, link or node that was observed.
     pub location: FaultLocation,
     /// In which incarnation; zero for a link.
     pub incarnation: Incarnation,
-    /// What.
+    /// What was observed.
     pub finding: Finding,
-    /// When.
+    /// When the monitor learned of it.
     pub seen_at: Instant,
 }
 
@@ -31,7 +31,7 @@ pub enum Finding {
     Dismissed,
     /// An incarnation ended.
     Exited {
-        /// How.
+        /// How the incarnation ended.
         exit: ExitReason,
         /// The guard carried out its standing order: this incarnation has begun in the old one's
         /// place.
@@ -46,14 +46,14 @@ pub enum Finding {
     },
     /// The object itself declared a fault.
     Declared {
-        /// Which.
+        /// The kind of the declared fault.
         kind: FaultKind,
-        /// The particulars.
+        /// The text that the object gives as the cause.
         detail: String,
     },
     /// A fault that the object had declared is over.
     Cleared {
-        /// Which.
+        /// The kind of the fault that is over.
         kind: FaultKind,
     },
     /// The object gave no sign of life, or no reply to a ping, for longer than is tolerated.
@@ -88,7 +88,7 @@ pub enum Finding {
     },
     /// The object works, but exceeds its own limits of lateness or those of others on its thread.
     Overloaded {
-        /// How much.
+        /// How late the components are, and how busy their thread is.
         figures: OverloadFigures,
         /// The components that are late behind it, on the same thread.
         victims: Arc<[ObjectName]>,
@@ -186,7 +186,7 @@ pub enum NodeCondition {
     },
     /// Nothing is taken from it or sent there any more. That it cannot be reached is no news then.
     Isolated {
-        /// Why.
+        /// Why the node is isolated.
         reason: String,
     },
     /// The node is no longer isolated.
@@ -201,7 +201,7 @@ pub enum NodeCondition {
     /// The node reports that it is in the safe state: it can be reached, and no component of it
     /// serves.
     InSafeState {
-        /// Why.
+        /// Why the node entered the safe state.
         reason: String,
     },
     /// The node reports that it is active again.

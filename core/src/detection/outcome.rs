@@ -16,7 +16,7 @@ pub enum RecoveryOutcome {
     Failed {
         /// Which, as in `Decided`.
         action: String,
-        /// Why.
+        /// Why the action has not helped.
         reason: String,
     },
     /// Service is restored.
@@ -26,7 +26,7 @@ pub enum RecoveryOutcome {
     Waits,
     /// Nothing more will be tried; what is left is safe state.
     GaveUp {
-        /// Why.
+        /// Why recovery ends.
         reason: String,
     },
 }
@@ -60,7 +60,7 @@ pub enum FaultTransition {
     Recovered,
     /// Nothing more will be tried.
     GaveUp {
-        /// Why.
+        /// Why recovery ends.
         reason: String,
     },
     /// Its cause is away: it went by itself, or the part was repaired.
@@ -74,7 +74,7 @@ pub enum FaultNotice {
     Found(Fault),
     /// It went away by itself: what is not yet under way for it need not begin.
     Cleared {
-        /// Which.
+        /// The number of the fault.
         id: FaultId,
         /// Where it was.
         location: FaultLocation,
@@ -133,6 +133,15 @@ pub struct FaultEntry {
     /// When and why the recoverer ceased to try. The fault still stands until its place begins a
     /// new incarnation.
     pub given_up: Option<(Instant, String)>,
+    /// It may turn out to be a symptom.
+    pub(super) explicable: bool,
+    /// The notifier knows of it, and does not know it to be over.
+    pub(super) handed: bool,
+    /// It stands, and no recoverer treats it: a symptom behind what keeps its thread, which was
+    /// only reported, or a fault whose next incarnation is on its way already.
+    pub(super) unhanded: bool,
+    /// When it is over, unless the next incarnation of its object has begun.
+    pub(super) end_due: Option<Instant>,
 }
 
 impl FaultEntry {
@@ -145,6 +154,10 @@ impl FaultEntry {
             recovered_at: None,
             repaired_at: None,
             given_up: None,
+            explicable: false,
+            handed: false,
+            unhanded: false,
+            end_due: None,
         }
     }
 

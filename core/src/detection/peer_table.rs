@@ -1,6 +1,6 @@
 //! What this node sees of its links and of other nodes.
 
-use super::{Finding, LinkCondition, MonitorRow, NodeCondition, ObjectKind, Opinion};
+use super::{Finding, LinkCondition, MonitorRow, NodeCondition, ObjectKind, Observation, Opinion};
 use crate::sorted::SortedMap;
 use crate::{FaultLocation, Incarnation, Instant, NodeName};
 use std::mem::discriminant;
@@ -11,13 +11,6 @@ use std::sync::Arc;
 pub(super) struct PeerTable {
     links: SortedMap<(NodeName, Arc<str>), LinkSeen>,
     nodes: SortedMap<NodeName, NodeSeen>,
-}
-
-/// Something that was not known before.
-pub(super) struct PeerChange {
-    pub(super) location: FaultLocation,
-    pub(super) incarnation: Incarnation,
-    pub(super) finding: Finding,
 }
 
 #[derive(Clone, Debug)]
@@ -89,14 +82,13 @@ impl PeerTable {
         neighbour: Option<NodeName>,
         condition: LinkCondition,
         now: Instant,
-    ) -> Option<PeerChange> {
+    ) -> Option<Observation> {
         let carries = !matches!(condition, LinkCondition::Down { .. });
         let before = self.links.remove(&(node.clone(), link.clone()));
         if condition == LinkCondition::Forgotten {
             let neighbour = before?.neighbour;
-            let (location, incarnation) =
-                (FaultLocation::Link { node, link, neighbour }, Incarnation(0));
-            return Some(PeerChange { location, incarnation, finding: Finding::Link(condition) });
+            let location = FaultLocation::Link { node, link, neighbour };
+            return Some(seen(location, Incarnation::default(), Finding::Link(condition), now));
         }
         let known = before.as_ref().is_some_and(|seen| seen.condition == condition);
         let last_sign = if carries { Some(now) } else { before.as_ref().and_then(|b| b.last_sign) };
@@ -114,7 +106,7 @@ impl PeerTable {
         let finding =
             Finding::Link(if away { LinkCondition::Forgotten } else { condition.clone() });
         self.links.insert((node, link), LinkSeen { neighbour, condition, last_sign });
-        is_change.then_some(PeerChange { location, incarnation: Incarnation::default(), finding })
+        is_change.then(|| seen(location, Incarnation::default(), finding, now))
     }
 
     fn has_left(&self, node: &NodeName) -> bool {
@@ -135,21 +127,20 @@ impl PeerTable {
         incarnation: Incarnation,
         condition: NodeCondition,
         now: Instant,
-    ) -> Result<Option<PeerChange>, Incarnation> {
+    ) -> Result<Option<Observation>, Incarnation> {
         use NodeCondition::{Admitted, AtWork, InSafeState, Isolated, Listed, Offends, Removed};
         use NodeCondition::{InSession, MessagesLost};
         if let Offends { .. } | Isolated { .. } | Admitted = condition {
-            return Ok(self.handle_offences(node, condition));
+            return Ok(self.handle_offences(node, condition, now));
         }
         if let MessagesLost { .. } | InSession = condition {
-            let (location, finding) = (FaultLocation::Node(node), Finding::Node(condition));
-            return Ok(Some(PeerChange { location, incarnation, finding }));
+            return Ok(Some(seen_of(node, incarnation, condition, now)));
         }
         if let InSafeState { .. } | AtWork = condition {
             return self.handle_rest(node, incarnation, condition, now);
         }
         if let Removed = condition {
-            return Ok(self.handle_removed(node));
+            return Ok(self.handle_removed(node, now));
         }
         if let Listed = condition {
             self.handle_listed(&node);
@@ -218,16 +209,11 @@ impl PeerTable {
         let seen =
             NodeSeen { incarnation, status, last_sign, restarts, isolated, rest, may_be_away };
         self.nodes.insert(node.clone(), seen);
-        let finding = Finding::Node(condition);
-        Ok(is_change.then_some(PeerChange {
-            location: FaultLocation::Node(node),
-            incarnation,
-            finding,
-        }))
+        Ok(is_change.then(|| seen_of(node, incarnation, condition, now)))
     }
 
     /// The roster does not list a node any more, or the node at the other end of a link.
-    fn handle_removed(&mut self, node: NodeName) -> Option<PeerChange> {
+    fn handle_removed(&mut self, node: NodeName, now: Instant) -> Option<Observation> {
         let is_neighbour =
             || self.links.values().any(|seen| seen.neighbour.as_ref() == Some(&node));
         if !self.nodes.contains_key(&node) && !is_neighbour() {
@@ -236,10 +222,9 @@ impl PeerTable {
         let seen = self.nodes.entry(node.clone()).or_insert_with(NodeSeen::unmet);
         seen.rest = None;
         let before = std::mem::replace(&mut seen.status, PeerStatus::Removed);
-        let finding = Finding::Node(NodeCondition::Removed);
-        let (incarnation, location) = (seen.incarnation, FaultLocation::Node(node));
-        let is_change = before != PeerStatus::Removed;
-        is_change.then_some(PeerChange { location, incarnation, finding })
+        let incarnation = seen.incarnation;
+        (before != PeerStatus::Removed)
+            .then(|| seen_of(node, incarnation, NodeCondition::Removed, now))
     }
 
     /// The roster lists a node again. It is on its way back, or off.
@@ -254,7 +239,12 @@ impl PeerTable {
     }
 
     /// That a node is isolated here, or what it has done: whatever incarnation of it is known.
-    fn handle_offences(&mut self, node: NodeName, condition: NodeCondition) -> Option<PeerChange> {
+    fn handle_offences(
+        &mut self,
+        node: NodeName,
+        condition: NodeCondition,
+        now: Instant,
+    ) -> Option<Observation> {
         let seen = self.nodes.entry(node.clone()).or_insert_with(NodeSeen::unmet);
         let isolated = match &condition {
             NodeCondition::Isolated { reason } => Some(reason.clone()),
@@ -264,12 +254,8 @@ impl PeerTable {
         let changed = isolated.is_some() != seen.isolated.is_some();
         seen.isolated = isolated;
         let is_change = changed || matches!(condition, NodeCondition::Offends { .. });
-        let (incarnation, finding) = (seen.incarnation, Finding::Node(condition));
-        is_change.then_some(PeerChange {
-            location: FaultLocation::Node(node),
-            incarnation,
-            finding,
-        })
+        let incarnation = seen.incarnation;
+        is_change.then(|| seen_of(node, incarnation, condition, now))
     }
 
     /// What a node says of itself: another one, or this.
@@ -279,7 +265,7 @@ impl PeerTable {
         incarnation: Incarnation,
         condition: NodeCondition,
         now: Instant,
-    ) -> Result<Option<PeerChange>, Incarnation> {
+    ) -> Result<Option<Observation>, Incarnation> {
         let rest = match &condition {
             NodeCondition::InSafeState { reason } => Some(reason.clone()),
             _ => None,
@@ -298,12 +284,7 @@ impl PeerTable {
         }
         let is_change = rest.is_some() != seen.rest.is_some();
         seen.rest = rest;
-        let finding = Finding::Node(condition);
-        Ok(is_change.then_some(PeerChange {
-            location: FaultLocation::Node(node),
-            incarnation,
-            finding,
-        }))
+        Ok(is_change.then(|| seen_of(node, incarnation, condition, now)))
     }
 
     /// Links, then nodes.
@@ -364,6 +345,19 @@ impl PeerTable {
     }
 }
 
+fn seen(
+    location: FaultLocation,
+    incarnation: Incarnation,
+    finding: Finding,
+    seen_at: Instant,
+) -> Observation {
+    Observation { location, incarnation, finding, seen_at }
+}
+
+fn seen_of(node: NodeName, of: Incarnation, condition: NodeCondition, now: Instant) -> Observation {
+    seen(FaultLocation::Node(node), of, Finding::Node(condition), now)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -391,17 +385,17 @@ mod tests {
     fn every_change_of_a_link_is_news_and_no_repetition_is() {
         for from in conditions() {
             for to in conditions() {
-                let mut around = PeerTable::default();
+                let mut table = PeerTable::default();
                 let mut report = |condition: &LinkCondition, neighbour| {
                     let condition = condition.clone();
-                    around.handle_link(node("a"), "eth".into(), neighbour, condition, at(1))
+                    table.handle_link(node("a"), "eth".into(), neighbour, condition, at(1))
                 };
                 assert!(report(&from, Some(node("b"))).is_some(), "the first is always news");
 
                 let change = report(&to, None);
 
                 assert_eq!(change.is_some(), from != to, "{from:?} to {to:?}");
-                if let Some(PeerChange {
+                if let Some(Observation {
                     location: FaultLocation::Link { neighbour, .. }, ..
                 }) = change
                 {
@@ -414,16 +408,16 @@ mod tests {
     #[test]
     fn a_node_that_may_be_away_goes_and_comes_as_one_that_leaves_and_has_a_row_from_the_start() {
         use NodeCondition::{MayBeAway, Reachable, Restarted};
-        let mut around = PeerTable::default();
-        let row = |around: &PeerTable| {
-            let row = around.rows(at(9)).last().expect("a row");
+        let mut table = PeerTable::default();
+        let row = |table: &PeerTable| {
+            let row = table.rows(at(9)).last().expect("a row");
             (row.opinion, row.note)
         };
         let away = |why: &str| (Opinion::Stopped, Some(format!("it may be away, and is: {why}")));
         let mut report = |incarnation, condition| {
-            let told = around.handle_node(node("b"), Incarnation(incarnation), condition, at(1));
-            let finding = told.expect("it is of now").map(|change| change.finding);
-            (finding, row(&around))
+            let news = table.handle_node(node("b"), Incarnation(incarnation), condition, at(1));
+            let finding = news.expect("it is of now").map(|change| change.finding);
+            (finding, row(&table))
         };
         assert_eq!(report(0, MayBeAway), (None, away("it was not met yet")));
         let lost = || NodeCondition::Lost { reason: "gone".into() };
@@ -438,30 +432,30 @@ mod tests {
         assert_eq!(report(5, Restarted).0, None, "it was started again, as it may be");
 
         let mut link = |condition| {
-            let told =
-                around.handle_link(node("a"), "air".into(), Some(node("b")), condition, at(2));
-            told.map(|change| change.finding)
+            let news =
+                table.handle_link(node("a"), "air".into(), Some(node("b")), condition, at(2));
+            news.map(|change| change.finding)
         };
         let down = || LinkCondition::Down { reason: "silent".into() };
         assert_eq!(link(LinkCondition::Up), Some(Finding::Link(LinkCondition::Up)));
         assert_eq!(link(down()), Some(Finding::Link(LinkCondition::Forgotten)));
         assert_eq!(link(down()), None);
-        let opinions: Vec<_> = around.rows(at(9)).map(|row| row.opinion).collect();
+        let opinions: Vec<_> = table.rows(at(9)).map(|row| row.opinion).collect();
         assert_eq!(opinions, [Opinion::Stopped, Opinion::Trusted], "the link, then the node");
     }
 
     #[test]
     fn a_link_that_is_forgotten_has_no_row() {
-        let mut around = PeerTable::default();
+        let mut table = PeerTable::default();
         let mut tell = |condition| {
-            around
+            table
                 .handle_link(node("a"), "eth/b".into(), Some(node("b")), condition, at(1))
                 .is_some()
         };
         assert!(!tell(LinkCondition::Forgotten), "it was never known");
         assert!(tell(LinkCondition::Down { reason: "gone".into() }));
         assert!(tell(LinkCondition::Forgotten));
-        assert_eq!(around.len(), 0);
+        assert_eq!(table.len(), 0);
     }
 
     #[test]
@@ -469,13 +463,13 @@ mod tests {
         use NodeCondition::{Left, Lost, Reachable, Restarted};
         let lost = || Lost { reason: "gone".into() };
         let check = |before: Option<(u64, NodeCondition)>, then: (u64, NodeCondition), reported| {
-            let mut around = PeerTable::default();
+            let mut table = PeerTable::default();
             if let Some((incarnation, condition)) = before {
                 let first =
-                    around.handle_node(node("b"), Incarnation(incarnation), condition, at(1));
+                    table.handle_node(node("b"), Incarnation(incarnation), condition, at(1));
                 assert!(first.is_ok_and(|change| change.is_some()));
             }
-            let change = around.handle_node(node("b"), Incarnation(then.0), then.1, at(2));
+            let change = table.handle_node(node("b"), Incarnation(then.0), then.1, at(2));
             let finding = change.map(|change| change.map(|change| change.finding));
             assert_eq!(finding, reported);
         };
@@ -515,9 +509,9 @@ mod tests {
     #[test]
     fn that_an_isolated_node_is_lost_is_no_news_and_what_it_did_always_is() {
         use NodeCondition::{Admitted, Isolated, Lost, Offends, Reachable};
-        let mut around = PeerTable::default();
+        let mut table = PeerTable::default();
         let mut reported = |condition: &NodeCondition| {
-            let change = around.handle_node(node("b"), Incarnation(5), condition.clone(), at(1));
+            let change = table.handle_node(node("b"), Incarnation(5), condition.clone(), at(1));
             let finding = change.expect("no incarnation is over").map(|change| change.finding);
             finding
                 .inspect(|finding| assert_eq!(*finding, Finding::Node(condition.clone())))
@@ -537,10 +531,10 @@ mod tests {
     /// Reports one node's incarnations; returns whether that is a change, and whether the node is
     /// at rest then.
     fn rest_reported() -> impl FnMut(u64, NodeCondition) -> (Result<bool, Incarnation>, bool) {
-        let mut around = PeerTable::default();
+        let mut table = PeerTable::default();
         move |incarnation, condition| {
-            let change = around.handle_node(node("b"), Incarnation(incarnation), condition, at(1));
-            let rests = around.rows(at(1)).any(|row| row.opinion == Opinion::Stopped);
+            let change = table.handle_node(node("b"), Incarnation(incarnation), condition, at(1));
+            let rests = table.rows(at(1)).any(|row| row.opinion == Opinion::Stopped);
             (change.map(|change| change.is_some()), rests)
         }
     }
@@ -590,64 +584,64 @@ mod tests {
 
     #[test]
     fn the_cables_of_a_node_that_left_go_down_without_news() {
-        let mut around = PeerTable::default();
+        let mut table = PeerTable::default();
         let [up, _, _, down, _] = conditions();
-        let reported = |around: &mut PeerTable, condition: &LinkCondition| {
+        let reported = |table: &mut PeerTable, condition: &LinkCondition| {
             let (here, there) = (node("a"), Some(node("b")));
-            around.handle_link(here, "eth".into(), there, condition.clone(), at(1)).is_some()
+            table.handle_link(here, "eth".into(), there, condition.clone(), at(1)).is_some()
         };
-        assert!(reported(&mut around, &up));
-        let left = around.handle_node(node("b"), Incarnation(1), NodeCondition::Left, at(2));
+        assert!(reported(&mut table, &up));
+        let left = table.handle_node(node("b"), Incarnation(1), NodeCondition::Left, at(2));
         assert!(left.is_ok_and(|change| change.is_some()));
 
-        assert!(!reported(&mut around, &down));
-        assert!(reported(&mut around, &up), "it returns");
-        let back = around.handle_node(node("b"), Incarnation(2), NodeCondition::Reachable, at(3));
+        assert!(!reported(&mut table, &down));
+        assert!(reported(&mut table, &up), "it returns");
+        let back = table.handle_node(node("b"), Incarnation(2), NodeCondition::Reachable, at(3));
         assert!(back.is_ok_and(|change| change.is_some()));
 
-        assert!(reported(&mut around, &down), "this time it was not announced");
+        assert!(reported(&mut table, &down), "this time it was not announced");
     }
 
     #[test]
     fn a_node_that_the_roster_lists_no_more_is_missed_by_none_until_it_is_listed_again() {
-        let mut around = PeerTable::default();
+        let mut table = PeerTable::default();
         let [up, _, _, down, _] = conditions();
-        let link = |around: &mut PeerTable, condition: &LinkCondition| {
+        let link = |table: &mut PeerTable, condition: &LinkCondition| {
             let (here, there) = (node("a"), Some(node("b")));
-            around.handle_link(here, "eth".into(), there, condition.clone(), at(1)).is_some()
+            table.handle_link(here, "eth".into(), there, condition.clone(), at(1)).is_some()
         };
-        let report = |around: &mut PeerTable, condition: NodeCondition| {
-            let change = around.handle_node(node("b"), Incarnation(7), condition, at(2));
+        let report = |table: &mut PeerTable, condition: NodeCondition| {
+            let change = table.handle_node(node("b"), Incarnation(7), condition, at(2));
             change.is_ok_and(|change| change.is_some())
         };
         let lost = || NodeCondition::Lost { reason: "no path".into() };
-        assert!(!report(&mut around, NodeCondition::Removed), "it was never heard of");
-        assert!(link(&mut around, &up) && report(&mut around, NodeCondition::Reachable));
+        assert!(!report(&mut table, NodeCondition::Removed), "it was never heard of");
+        assert!(link(&mut table, &up) && report(&mut table, NodeCondition::Reachable));
 
-        assert!(report(&mut around, NodeCondition::Removed));
-        assert!(!report(&mut around, NodeCondition::Removed));
-        assert!(!link(&mut around, &down) && !report(&mut around, lost()));
-        assert!(around.rows(at(3)).all(|row| row.opinion == Opinion::Stopped));
+        assert!(report(&mut table, NodeCondition::Removed));
+        assert!(!report(&mut table, NodeCondition::Removed));
+        assert!(!link(&mut table, &down) && !report(&mut table, lost()));
+        assert!(table.rows(at(3)).all(|row| row.opinion == Opinion::Stopped));
 
-        assert!(!report(&mut around, NodeCondition::Listed));
-        assert!(around.rows(at(3)).all(|row| row.opinion == Opinion::Failed));
-        assert!(link(&mut around, &up) && report(&mut around, NodeCondition::Reachable));
-        assert!(link(&mut around, &down) && report(&mut around, lost()));
+        assert!(!report(&mut table, NodeCondition::Listed));
+        assert!(table.rows(at(3)).all(|row| row.opinion == Opinion::Failed));
+        assert!(link(&mut table, &up) && report(&mut table, NodeCondition::Reachable));
+        assert!(link(&mut table, &down) && report(&mut table, lost()));
     }
 
     #[test]
     fn rows_show_what_is_down_and_for_how_long_nothing_was_heard() {
-        let mut around = PeerTable::default();
+        let mut table = PeerTable::default();
         let [up, _, _, down, _] = conditions();
-        around.handle_link(node("a"), "eth".into(), Some(node("b")), up, at(0));
-        around.handle_link(node("a"), "eth".into(), None, down, at(50));
-        let _ = around.handle_node(node("b"), Incarnation(7), NodeCondition::Reachable, at(60));
+        table.handle_link(node("a"), "eth".into(), Some(node("b")), up, at(0));
+        table.handle_link(node("a"), "eth".into(), None, down, at(50));
+        let _ = table.handle_node(node("b"), Incarnation(7), NodeCondition::Reachable, at(60));
 
-        let rows: Vec<MonitorRow> = around.rows(at(100)).collect();
+        let rows: Vec<MonitorRow> = table.rows(at(100)).collect();
 
         let shown = |row: &MonitorRow| (row.opinion, row.last_sign.map(|age| age.as_millis()));
         assert_eq!(shown(&rows[0]), (Opinion::Failed, Some(100)));
         assert_eq!(shown(&rows[1]), (Opinion::Trusted, Some(40)));
-        assert_eq!((rows[0].location.to_string(), around.len()), ("a -eth- b".into(), 2));
+        assert_eq!((rows[0].location.to_string(), table.len()), ("a -eth- b".into(), 2));
     }
 }

@@ -19,7 +19,7 @@ use std::time::Duration;
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Registration {
-    /// The object.
+    /// The name of the object.
     pub object: ObjectName,
     /// What kind of object it is.
     pub kind: ObjectKind,

@@ -40,7 +40,7 @@ pub struct MonitorRow {
     pub restarts: u32,
     /// How often it was suspect in this incarnation.
     pub suspicions: u32,
-    /// Its queue.
+    /// Its queue as it was sampled last; `None` for what has no queue.
     pub queue: Option<QueueSample>,
     /// Rounds that it has missed in this incarnation: the next one was due, and it had not begun.
     /// Each that was due is run or missed. Ticks of its timers are counted likewise.

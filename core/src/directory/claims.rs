@@ -1,9 +1,16 @@
 //! Global names: who claims and who holds them.
+//!
+//! The policy of the robot says which nodes may claim which names and publish on which topics. What
+//! a node may not claim is remembered of it, so that both agree on what it has told, and does not
+//! count.
 
 use super::types::{ClaimRefused, ClaimRequest, NameClaim, NameHeld};
 use super::{CLAIMS_MAX, ClaimPolicy, Directory, DirectoryKey, DirectoryOutput, Holder};
+use crate::net::NodeId;
+use crate::net::trust::access::{AccessDenied, AccessPolicy};
+use crate::net::trust::policy::Verb;
 use crate::sorted::SortedMap;
-use crate::{Incarnation, Instant, ObjectName};
+use crate::{Incarnation, Instant, NodeName, ObjectName};
 
 /// Epochs are below it.
 pub(super) const EPOCH_MAX: u64 = 1 << 62;
@@ -17,9 +24,15 @@ pub(super) struct OwnClaim {
     pub(super) object: ObjectName,
     pub(super) policy: ClaimPolicy,
     pub(super) epoch: Option<u64>,
+    /// When this node takes the name, which has no holder.
+    pub(super) take_at: Option<Instant>,
 }
 
 impl OwnClaim {
+    fn waiting(object: ObjectName, policy: ClaimPolicy) -> Self {
+        OwnClaim { object, policy, epoch: None, take_at: None }
+    }
+
     fn told_of(&self, name: &ObjectName) -> NameClaim {
         let object = (self.object != *name).then(|| self.object.clone());
         NameClaim { epoch: self.epoch, object }
@@ -78,12 +91,11 @@ impl Directory {
             (Some(Holder { node: holder, epoch, .. }), ClaimPolicy::Refuse) => {
                 Err(NameHeld { name, holder, epoch }.into())
             }
-            (None, _) if self.settles.is_none() => {
-                self.set_own(&name, Some(OwnClaim { object, policy, epoch: None }));
-                Ok(self.take(&name))
-            }
-            _ => {
-                self.set_own(&name, Some(OwnClaim { object, policy, epoch: None }));
+            (holder, _) => {
+                self.set_own(&name, Some(OwnClaim::waiting(object, policy)));
+                if holder.is_none() && self.settles.is_none() {
+                    return Ok(self.take(&name));
+                }
                 self.look_at(&name, now);
                 Ok(None)
             }
@@ -92,7 +104,6 @@ impl Directory {
 
     /// An object here gives a name back, or stands by no more.
     pub fn handle_withdrawn(&mut self, name: &ObjectName) {
-        self.vacant.remove(name);
         self.set_own(name, None);
     }
 
@@ -100,13 +111,13 @@ impl Directory {
     pub(super) fn look_at(&mut self, name: &ObjectName, now: Instant) {
         let holder = self.holder(name);
         self.show(name, holder.clone());
-        let Some(own) = self.own.get(name) else { return };
+        let Some(own) = self.own.get_mut(name) else { return };
         let (policy, ours) = (own.policy, own.epoch);
         match (holder, ours) {
             (Some(Holder { node, epoch, .. }), Some(_)) if node != self.config.node => {
                 let object = own.object.clone();
                 let stands_by = policy == ClaimPolicy::Standby;
-                self.set_own(name, stands_by.then_some(OwnClaim { object, policy, epoch: None }));
+                self.set_own(name, stands_by.then_some(OwnClaim::waiting(object, policy)));
                 let (name, to) = (name.clone(), node);
                 self.outputs.push_back(DirectoryOutput::Lost { name, to, epoch, stands_by });
             }
@@ -118,17 +129,16 @@ impl Directory {
             }
             (Some(_), Some(_)) => {}
             (Some(_), None) => {
-                self.vacant.remove(name);
+                own.take_at = None;
                 self.outputs.push_back(DirectoryOutput::StandsBy { name: name.clone() });
             }
-            (None, _) if self.settles.is_some() || self.vacant.contains_key(name) => {}
+            (None, _) if self.settles.is_some() || own.take_at.is_some() => {}
             (None, _) => {
                 // Those before us by name have their turn first.
                 let others = self.known.get(name).into_iter().flat_map(SortedMap::keys);
                 let before = others.filter(|node| **node < self.config.node).count();
                 let turns = u32::try_from(before).unwrap_or(u32::MAX);
-                let due = now + (self.config.lease / 4).saturating_mul(turns);
-                self.vacant.insert(name.clone(), due);
+                own.take_at = Some(now + (self.config.lease / 4).saturating_mul(turns));
             }
         }
     }
@@ -155,12 +165,11 @@ impl Directory {
 
     /// Takes a name that is wanted here and that has no holder.
     pub(super) fn take(&mut self, name: &ObjectName) -> Option<u64> {
-        self.vacant.remove(name);
         let OwnClaim { object, policy, .. } = self.own.get(name)?;
         let (object, policy) = (object.clone(), *policy);
         self.last_epoch = (self.last_epoch + 1).min(EPOCH_MAX - 1);
         let epoch = self.last_epoch;
-        self.set_own(name, Some(OwnClaim { object, policy, epoch: Some(epoch) }));
+        self.set_own(name, Some(OwnClaim { object, policy, epoch: Some(epoch), take_at: None }));
         self.outputs.push_back(DirectoryOutput::Granted { name: name.clone(), epoch });
         Some(epoch)
     }
@@ -174,5 +183,95 @@ impl Directory {
         }
         self.record(vec![(DirectoryKey::Name(name.clone()), told)]);
         self.show(name, self.holder(name));
+    }
+
+    /// From now on this policy counts, for what is claimed already as well.
+    pub fn handle_access(&mut self, policy: AccessPolicy, now: Instant) {
+        self.access = Some(policy);
+        let mut names: Vec<_> = self.own.keys().cloned().collect();
+        for name in &names {
+            let node = self.config.node.clone();
+            if let Err(denied) = self.may_claim(&node, name) {
+                self.handle_withdrawn(name);
+                let (name, refused) = (name.clone(), ClaimRefused::from(&*denied));
+                self.outputs.push_back(DirectoryOutput::Refused { name, refused });
+            }
+        }
+        let told = self.peers.iter().flat_map(|(node, peer)| {
+            peer.table.records.iter().map(|(key, claim)| (node.clone(), key.clone(), claim.clone()))
+        });
+        let told: Vec<_> = told.collect();
+        for (node, key, claim) in told {
+            match key {
+                DirectoryKey::Name(name) => {
+                    self.believe(&node, &name, claim);
+                    names.push(name);
+                }
+                DirectoryKey::Object(_) => {}
+                DirectoryKey::Publisher { .. } => self.show_record(&node, key),
+            }
+        }
+        names.iter().for_each(|name| self.look_at(name, now));
+    }
+
+    /// A claim that a node has told of counts, if the node may claim the name.
+    pub(super) fn believe(&mut self, node: &NodeName, name: &ObjectName, claim: NameClaim) {
+        match self.may_claim(node, name) {
+            Ok(()) => {
+                self.last_epoch = self.last_epoch.max(claim.epoch.unwrap_or_default());
+                self.known.entry(name.clone()).or_default().insert(node.clone(), claim);
+            }
+            Err(denied) => {
+                self.disbelieve(node, name);
+                self.outputs.push_back(DirectoryOutput::AccessDenied { denied });
+            }
+        }
+    }
+
+    /// The node claims the name no more.
+    pub(super) fn disbelieve(&mut self, node: &NodeName, name: &ObjectName) {
+        if let Some(claimants) = self.known.get_mut(name) {
+            claimants.remove(node);
+            if claimants.is_empty() {
+                self.known.remove(name);
+            }
+        }
+    }
+
+    /// A node has told of an object, or of a publisher, which counts if it may publish there.
+    pub(super) fn show_record(&mut self, node: &NodeName, key: DirectoryKey) {
+        let may_publish = |policy: &AccessPolicy| match &key {
+            DirectoryKey::Publisher { topic, contract } => {
+                let node = NodeId::of(node);
+                policy.check(node, Verb::Publish, topic.as_str(), contract).is_ok()
+            }
+            DirectoryKey::Object(_) | DirectoryKey::Name(_) => true,
+        };
+        let counts = self.access.as_ref().is_none_or(may_publish);
+        let node = node.clone();
+        self.outputs.push_back(match counts {
+            true => DirectoryOutput::RecordAdded { node, key },
+            false => DirectoryOutput::RecordRemoved { node, key },
+        });
+    }
+
+    /// Whether a node, this one or another, may claim a name.
+    pub(super) fn may_claim(
+        &self,
+        node: &NodeName,
+        name: &ObjectName,
+    ) -> Result<(), Box<AccessDenied>> {
+        let Some(policy) = &self.access else { return Ok(()) };
+        policy.check(NodeId::of(node), Verb::Claim, name.as_str(), "")
+    }
+}
+
+impl From<&AccessDenied> for ClaimRefused {
+    fn from(denied: &AccessDenied) -> Self {
+        ClaimRefused::Forbidden {
+            name: denied.object.clone(),
+            node: denied.peer.clone(),
+            serial: denied.serial,
+        }
     }
 }

@@ -25,8 +25,8 @@
 //! That is enough for finding things. Where two at a time would do harm, use a service, which needs
 //! a majority.
 //!
-//! An epoch of 2^62 or more is refused, so that a claim always has a greater one after it. The policy
-//! says which nodes may claim: one that claims to spend epochs is not given the right.
+//! An epoch of 2^62 or more is refused, so that a claim always has a greater one after it. The
+//! policy says which nodes may claim: one that claims to spend epochs is not given the right.
 
 pub use self::types::{
     ClaimPolicy, ClaimRefused, ClaimRequest, DirectoryConfig, DirectoryKey, DirectoryOutput,
@@ -62,8 +62,7 @@ struct DirectoryPeer {
     /// A session is open.
     open: bool,
     received_at: Instant,
-    records: SortedMap<DirectoryKey, NameClaim>,
-    sum: u64,
+    table: RecordTable,
     /// Which of them it has told of since it began to tell all of them.
     telling: Option<SortedSet<DirectoryKey>>,
     /// It has told all of them.
@@ -78,8 +77,28 @@ struct DirectoryPeer {
 impl DirectoryPeer {
     /// Names are the last of all keys.
     fn claims_names(&self) -> bool {
-        let last = self.records.last_key_value();
+        let last = self.table.records.last_key_value();
         last.is_some_and(|(key, _)| matches!(key, DirectoryKey::Name(_)))
+    }
+}
+
+/// The records of one node, and a sum over them.
+#[derive(Debug, Default)]
+struct RecordTable {
+    records: SortedMap<DirectoryKey, NameClaim>,
+    sum: u64,
+}
+
+impl RecordTable {
+    /// Sets a record, or removes it. Returns the one before.
+    fn set(&mut self, key: &DirectoryKey, claim: Option<&NameClaim>) -> Option<NameClaim> {
+        let before = match claim {
+            Some(claim) => self.records.insert(key.clone(), claim.clone()),
+            None => self.records.remove(key),
+        };
+        let sum = |claim: Option<&NameClaim>| claim.map_or(0, |claim| claim.sum(key));
+        self.sum = self.sum.wrapping_add(sum(claim)).wrapping_sub(sum(before.as_ref()));
+        before
     }
 }
 
@@ -90,15 +109,12 @@ pub struct Directory {
     /// What this node claims.
     own: SortedMap<ObjectName, OwnClaim>,
     /// What others are told of this node.
-    records: SortedMap<DirectoryKey, NameClaim>,
-    sum: u64,
+    table: RecordTable,
     peers: SortedMap<NodeName, DirectoryPeer>,
     /// Who has claimed which name, or stands by.
     known: SortedMap<ObjectName, SortedMap<NodeName, NameClaim>>,
     /// Who was last told to hold which.
     shown: SortedMap<ObjectName, Holder>,
-    /// Names without a holder that we stand by for, and when we take them.
-    vacant: SortedMap<ObjectName, Instant>,
     last_epoch: u64,
     /// When the others were last told that this node is alive.
     renewed_at: Instant,
@@ -121,12 +137,10 @@ impl Directory {
         Directory {
             config,
             own: SortedMap::new(),
-            records: SortedMap::new(),
-            sum: 0,
+            table: RecordTable::default(),
             peers: SortedMap::new(),
             known: SortedMap::new(),
             shown: SortedMap::new(),
-            vacant: SortedMap::new(),
             last_epoch,
             renewed_at: now,
             access: None,
@@ -150,7 +164,7 @@ impl Directory {
         directory.forgetful = true;
         for (ClaimRequest { name, object, policy }, epoch) in own {
             directory.last_epoch = directory.last_epoch.max(epoch.unwrap_or_default());
-            directory.set_own(&name, Some(OwnClaim { object, policy, epoch }));
+            directory.set_own(&name, Some(OwnClaim { object, policy, epoch, take_at: None }));
         }
         directory
     }
@@ -171,9 +185,9 @@ impl Directory {
         let present = present.into_iter().take(PRESENT_MAX).take_while(fits);
         let present: SortedSet<DirectoryKey> = present.collect();
         let beyond = all - present.len();
-        let told = self.records.keys().filter(|key| !matches!(key, DirectoryKey::Name(_)));
+        let told = self.table.records.keys().filter(|key| !matches!(key, DirectoryKey::Name(_)));
         let gone: Vec<_> = told.filter(|key| !present.contains(*key)).cloned().collect();
-        let new = present.into_iter().filter(|key| !self.records.contains_key(key));
+        let new = present.into_iter().filter(|key| !self.table.records.contains_key(key));
         let new: Vec<_> = new.map(|key| (key, Some(NameClaim::default()))).collect();
         self.record(gone.into_iter().map(|key| (key, None)).chain(new).collect());
         beyond
@@ -188,8 +202,7 @@ impl Directory {
             incarnation,
             open: true,
             received_at: now,
-            records: SortedMap::new(),
-            sum: 0,
+            table: RecordTable::default(),
             telling: None,
             complete: false,
             asked: None,
@@ -234,7 +247,6 @@ impl Machine for Directory {
     }
 }
 
-mod access;
 mod claims;
 mod replication;
 #[cfg(test)]

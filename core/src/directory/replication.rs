@@ -2,7 +2,9 @@
 
 use super::claims::EPOCH_MAX;
 use super::types::{DirectoryMessage, DirectoryRecord, NameClaim};
-use super::{CLAIMS_MAX, Directory, DirectoryKey, DirectoryOutput, NAMES_MAX, PRESENT_MAX};
+use super::{
+    CLAIMS_MAX, Directory, DirectoryKey, DirectoryOutput, DirectoryPeer, NAMES_MAX, PRESENT_MAX,
+};
 use crate::contract::codec;
 use crate::sorted::SortedSet;
 use crate::{Instant, NodeName};
@@ -33,7 +35,7 @@ impl Directory {
             DirectoryMessage::Alive { sum } => {
                 let again = self.config.lease / 4;
                 let patient = peer.asked.is_some_and(|asked| now - asked < again);
-                if sum != peer.sum && !patient {
+                if sum != peer.table.sum && !patient {
                     peer.asked = Some(now);
                     self.ask_for_all(from.clone());
                 }
@@ -63,7 +65,7 @@ impl Directory {
         let Some(told) = peer.telling.take() else { return };
         (peer.asked, peer.complete) = (None, true);
         let gone: Vec<_> =
-            peer.records.keys().filter(|key| !told.contains(*key)).cloned().collect();
+            peer.table.records.keys().filter(|key| !told.contains(*key)).cloned().collect();
         gone.iter().for_each(|key| self.unhear(from, key, now));
         let complete = |node| self.peers.get(node).is_some_and(|peer| peer.complete);
         if !self.config.expected.is_empty() && self.config.expected.iter().all(complete) {
@@ -80,8 +82,8 @@ impl Directory {
             }
             DirectoryKey::Object(_) | DirectoryKey::Publisher { .. } => false,
         };
-        let full = full
-            || peer.records.len() >= CLAIMS_MAX + PRESENT_MAX && !peer.records.contains_key(&key);
+        let records = &peer.table.records;
+        let full = full || records.len() >= CLAIMS_MAX + PRESENT_MAX && !records.contains_key(&key);
         let malformed = claim.epoch.is_some_and(|epoch| epoch >= EPOCH_MAX) || !key.is_short();
         if full || malformed {
             peer.refusals.too_large += u64::from(full);
@@ -91,12 +93,7 @@ impl Directory {
         if let Some(telling) = &mut peer.telling {
             telling.insert(key.clone());
         }
-        let before = peer.records.insert(key.clone(), claim.clone());
-        peer.sum = peer.sum.wrapping_add(claim.sum(&key));
-        if let Some(before) = &before {
-            peer.sum = peer.sum.wrapping_sub(before.sum(&key));
-        }
-        if before.as_ref() == Some(&claim) {
+        if peer.table.set(&key, Some(&claim)).as_ref() == Some(&claim) {
             return;
         }
         match &key {
@@ -110,8 +107,9 @@ impl Directory {
 
     pub(super) fn unhear(&mut self, from: &NodeName, key: &DirectoryKey, now: Instant) {
         let Some(peer) = self.peers.get_mut(from) else { return };
-        let Some(claim) = peer.records.remove(key) else { return };
-        peer.sum = peer.sum.wrapping_sub(claim.sum(key));
+        if peer.table.set(key, None).is_none() {
+            return;
+        }
         if let Some(telling) = &mut peer.telling {
             telling.remove(key);
         }
@@ -134,7 +132,7 @@ impl Directory {
         now: Instant,
         is_cleared: impl Fn(&DirectoryKey) -> bool,
     ) {
-        let records = self.peers.get(node).into_iter().flat_map(|peer| peer.records.keys());
+        let records = self.peers.get(node).into_iter().flat_map(|peer| peer.table.records.keys());
         let keys: Vec<_> = records.filter(|key| is_cleared(key)).cloned().collect();
         keys.iter().for_each(|key| self.unhear(node, key, now));
     }
@@ -144,21 +142,11 @@ impl Directory {
         for part in changes.chunks(RECORDS_PER_MESSAGE) {
             let (mut records, mut gone) = (Vec::new(), Vec::new());
             for (key, claim) in part.iter().cloned() {
-                let before = match &claim {
-                    Some(claim) => self.records.insert(key.clone(), claim.clone()),
-                    None => self.records.remove(&key),
-                };
-                if before == claim {
+                if self.table.set(&key, claim.as_ref()) == claim {
                     continue;
                 }
-                if let Some(before) = before {
-                    self.sum = self.sum.wrapping_sub(before.sum(&key));
-                }
                 match claim {
-                    Some(claim) => {
-                        self.sum = self.sum.wrapping_add(claim.sum(&key));
-                        records.push(DirectoryRecord { key, claim });
-                    }
+                    Some(claim) => records.push(DirectoryRecord { key, claim }),
                     None => gone.push(key),
                 }
             }
@@ -171,7 +159,7 @@ impl Directory {
     /// Tells all nodes that this one is alive, and what its records add up to.
     pub(super) fn renew(&mut self, now: Instant) {
         self.renewed_at = now;
-        self.tell_everybody(&DirectoryMessage::Alive { sum: self.sum });
+        self.tell_everybody(&DirectoryMessage::Alive { sum: self.table.sum });
     }
 
     fn tell_everybody(&mut self, message: &DirectoryMessage) {
@@ -186,7 +174,7 @@ impl Directory {
         if let Some(peer) = self.peers.get_mut(to) {
             peer.sent_all_at = now;
         }
-        let all = self.records.iter();
+        let all = self.table.records.iter();
         let all =
             all.map(|(key, claim)| DirectoryRecord { key: key.clone(), claim: claim.clone() });
         let all: Vec<DirectoryRecord> = all.collect();
@@ -208,5 +196,22 @@ impl Directory {
     fn send(&mut self, to: NodeName, message: &DirectoryMessage) {
         let message = codec::encode_unbounded(message).into();
         self.outputs.push_back(DirectoryOutput::Send { to, message });
+    }
+
+    /// Ends what nodes have told that have not renewed it.
+    pub(super) fn expire_leases(&mut self, now: Instant) {
+        let lapsed = |peer: &DirectoryPeer| now >= peer.received_at + self.config.lease;
+        let gone = self.peers.iter().filter(|(_, peer)| lapsed(peer));
+        let gone: Vec<_> = gone.map(|(node, peer)| (node.clone(), peer.open)).collect();
+        for (node, open) in gone {
+            match self.peers.get_mut(&node).filter(|_| open) {
+                // It may speak again; then its sum differs, and it is asked.
+                Some(peer) => {
+                    peer.received_at = now;
+                    self.clear(&node, now, |key| matches!(key, DirectoryKey::Name(_)));
+                }
+                None => self.handle_left(&node, now),
+            }
+        }
     }
 }

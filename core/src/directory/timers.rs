@@ -1,6 +1,7 @@
 //! When the directory acts by itself.
 
-use super::{Directory, DirectoryKey, DirectoryPeer};
+use super::Directory;
+use super::claims::OwnClaim;
 use crate::timer::Timers;
 use crate::{Instant, ObjectName};
 
@@ -32,14 +33,14 @@ impl Timers for Directory {
             DirectoryTimer::Renew => {
                 let lease = self.config.lease;
                 let interval = if self.own.is_empty() { lease * 4 } else { lease / 4 };
-                let is_told = !self.records.is_empty() && !self.peers.is_empty();
+                let is_told = !self.table.records.is_empty() && !self.peers.is_empty();
                 is_told.then_some(self.renewed_at + interval)
             }
             DirectoryTimer::LeaseExpiry => {
                 let holders = self.peers.values().filter(|peer| !peer.open || peer.claims_names());
                 holders.map(|peer| peer.received_at + self.config.lease).min()
             }
-            DirectoryTimer::Turn => self.vacant.values().min().copied(),
+            DirectoryTimer::Turn => self.own.values().filter_map(|own| own.take_at).min(),
         }
     }
 
@@ -49,29 +50,12 @@ impl Timers for Directory {
             DirectoryTimer::Renew => self.renew(now),
             DirectoryTimer::LeaseExpiry => self.expire_leases(now),
             DirectoryTimer::Turn => {
-                let due = self.vacant.iter().filter(|(_, due)| now >= **due);
+                let is_due = |own: &OwnClaim| own.take_at.is_some_and(|at| now >= at);
+                let due = self.own.iter().filter(|(_, own)| is_due(own));
                 let due: Vec<ObjectName> = due.map(|(name, _)| name.clone()).collect();
                 for name in due {
                     self.take(&name);
                 }
-            }
-        }
-    }
-}
-
-impl Directory {
-    fn expire_leases(&mut self, now: Instant) {
-        let lapsed = |peer: &DirectoryPeer| now >= peer.received_at + self.config.lease;
-        let gone = self.peers.iter().filter(|(_, peer)| lapsed(peer));
-        let gone: Vec<_> = gone.map(|(node, peer)| (node.clone(), peer.open)).collect();
-        for (node, open) in gone {
-            match self.peers.get_mut(&node).filter(|_| open) {
-                // It may speak again; then its sum differs, and it is asked.
-                Some(peer) => {
-                    peer.received_at = now;
-                    self.clear(&node, now, |key| matches!(key, DirectoryKey::Name(_)));
-                }
-                None => self.handle_left(&node, now),
             }
         }
     }

@@ -20,9 +20,9 @@ pub enum ClaimPolicy {
 /// How records are held.
 #[derive(Clone, Debug)]
 pub struct DirectoryConfig {
-    /// Our name.
+    /// The name of this node.
     pub node: NodeName,
-    /// Our incarnation.
+    /// The present incarnation of this node.
     pub incarnation: Incarnation,
     /// How long records hold after their node was last heard of; one that claims names is heard of
     /// four times as often. Longer costs less traffic, and keeps the names of a node that died for
@@ -31,15 +31,15 @@ pub struct DirectoryConfig {
     /// How long after our start nothing is granted here, so that who holds a name already is heard
     /// first. Longer waits for slower networks; a name without a holder is granted later.
     pub settle: Duration,
-    /// Once all of these have told what they have, claims are granted at once. Without any, `settle` is
-    /// waited for.
+    /// Once all of these have told what they have, claims are granted at once. Without any,
+    /// `settle` is waited for.
     pub expected: SortedSet<NodeName>,
 }
 
 /// What an object claims.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ClaimRequest {
-    /// The name.
+    /// The global name to claim.
     pub name: ObjectName,
     /// The object of this node that is meant by it.
     pub object: ObjectName,
@@ -57,7 +57,7 @@ impl ClaimRequest {
 /// Who holds a name.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Holder {
-    /// Its node.
+    /// The node of the object that has the name.
     pub node: NodeName,
     /// The object there.
     pub object: ObjectName,
@@ -75,7 +75,7 @@ impl fmt::Display for Holder {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{name} is claimed by {holder}, under epoch {epoch}: stand by, or take another name")]
 pub struct NameHeld {
-    /// The name.
+    /// The global name that was claimed.
     pub name: ObjectName,
     /// Who holds it.
     pub holder: NodeName,
@@ -100,9 +100,9 @@ pub enum ClaimRefused {
         "node {node} may not claim {name}, by its roster {serial}: change roles or policy by `blastema keys edit`"
     )]
     Forbidden {
-        /// The name.
+        /// The global name that was claimed.
         name: String,
-        /// The node.
+        /// The node that claimed the name.
         node: NodeName,
         /// The serial number of the roster.
         serial: u64,
@@ -114,29 +114,29 @@ pub enum ClaimRefused {
 pub enum DirectoryOutput {
     /// Tell this node.
     Send {
-        /// Whom.
+        /// The node to send to.
         to: NodeName,
-        /// What.
+        /// The encoded message.
         message: Bytes,
     },
     /// A name is ours.
     Granted {
-        /// Which.
+        /// The name that is granted.
         name: ObjectName,
         /// Under which epoch.
         epoch: u64,
     },
     /// Another claimant holds a name that we stand by for.
     StandsBy {
-        /// Which.
+        /// The name that has another holder.
         name: ObjectName,
     },
     /// A claim that had to wait after our start is refused; or one that was granted, by another
     /// policy.
     Refused {
-        /// Which.
+        /// The name of the refused claim.
         name: ObjectName,
-        /// Why.
+        /// Why the claim is refused, and what helps.
         refused: ClaimRefused,
     },
     /// Another node claims a name that it may not.
@@ -146,7 +146,7 @@ pub enum DirectoryOutput {
     },
     /// A name that was ours is another's: two had claimed it, out of each other's sight.
     Lost {
-        /// Which.
+        /// The name that this node has lost.
         name: ObjectName,
         /// Whose it is.
         to: NodeName,
@@ -157,23 +157,23 @@ pub enum DirectoryOutput {
     },
     /// A node has an object, or a publisher. It may be said again.
     RecordAdded {
-        /// Which node.
+        /// The node that has it.
         node: NodeName,
-        /// What.
+        /// The object or publisher.
         key: DirectoryKey,
     },
     /// A node has it no more. It may be said again.
     RecordRemoved {
-        /// Which node.
+        /// The node that had it.
         node: NodeName,
-        /// What.
+        /// The object or publisher.
         key: DirectoryKey,
     },
     /// A name has another holder than before, or none.
     Held {
-        /// Which.
+        /// The global name.
         name: ObjectName,
-        /// By whom.
+        /// The new holder; `None` while the name has none.
         holder: Option<Holder>,
     },
 }

@@ -7,7 +7,7 @@ pub enum FrameLane {
     Hello,
     /// What must not wait: acknowledgements, what routers tell each other, control.
     Urgent,
-    /// Everything else.
+    /// All frames of no other lane.
     #[default]
     Usual,
 }

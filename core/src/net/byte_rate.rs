@@ -6,9 +6,9 @@ use crate::sorted::SortedMap;
 /// How many bytes went each way, in a second.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ByteRate {
-    /// Bytes sent.
+    /// The bytes sent per second.
     pub sent: u64,
-    /// Bytes received.
+    /// The bytes received per second.
     pub received: u64,
 }
 
@@ -34,8 +34,8 @@ impl<K> Default for ByteRates<K> {
 }
 
 impl<K: Ord + Copy> ByteRates<K> {
-    /// Looks at the counters of all that there are: bytes sent, and received. What is not among them
-    /// is forgotten. Counters that have begun again say nothing until the next look.
+    /// Looks at the counters of all that there are: bytes sent, and received. What is not among
+    /// them is forgotten. Counters that have begun again say nothing until the next look.
     pub fn handle_look(&mut self, all: impl IntoIterator<Item = (K, u64, u64)>, now: Instant) {
         let look = |(key, sent, received)| {
             let counted = (sent, received);

@@ -44,7 +44,7 @@ impl DiscoveryAdmission {
 /// How neighbours are learned.
 #[derive(Clone, Debug)]
 pub struct DiscoveryConfig {
-    /// Our name.
+    /// The name of this node.
     pub node: NodeName,
     /// Who is admitted on each network, by the network's place.
     pub admissions: Vec<DiscoveryAdmission>,
@@ -74,18 +74,18 @@ impl DiscoveryConfig {
 pub enum DiscoveryOutput {
     /// Make a link.
     Connect {
-        /// On which network, by its place.
+        /// The network, by its place.
         domain: usize,
-        /// To whom.
+        /// The node at the link's other end.
         node: NodeName,
         /// Where its beacon says that it is, as its medium writes it.
         address: String,
     },
     /// Give a link up that was made.
     Disconnect {
-        /// On which network.
+        /// The network, by its place.
         domain: usize,
-        /// To whom.
+        /// The node at the link's other end.
         node: NodeName,
     },
 }

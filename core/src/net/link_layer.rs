@@ -55,7 +55,7 @@ pub trait LinkAddress: Clone + Ord + Hash + fmt::Display {
 /// A neighbour's key, by which its frames are opened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NeighbourKey {
-    /// The neighbour.
+    /// The neighbour's node id.
     pub node: NodeId,
     /// Its static public key.
     pub public: [u8; PUBLIC_KEY],
@@ -82,7 +82,7 @@ pub enum LinkLayerOutput<A> {
     Of(LinkId, LinkOutput),
     /// Give this frame to the transport.
     Transmit {
-        /// Where to.
+        /// The address of the receiver.
         to: A,
         /// The frame, as the medium carries it.
         frame: GatherBuffer,
@@ -99,7 +99,7 @@ pub enum LinkLayerOutput<A> {
     /// A node that may dial in has proved itself, and no link leads to it: make one
     /// ([`LinkLayer::insert_dialed_in`]). This is repeated with each of its frames.
     DialedIn {
-        /// Which.
+        /// The node that has proved itself.
         peer: NodeId,
         /// Where it comes from.
         address: A,
@@ -311,7 +311,7 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
         added
     }
 
-    /// A link.
+    /// Returns the link of this number.
     pub fn get(&self, number: LinkId) -> Option<&Link> {
         self.links.get(number)
     }

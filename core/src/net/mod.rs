@@ -27,8 +27,8 @@
 //! | its answer | 20 | 24 | 6, then 8 more |
 //!
 //! What a node in between has passed on is five bytes longer, and four for each further one.
-//! `core/tests/virtual/net_header.rs` holds these numbers. Small messages that wait together share a part,
-//! and all of it but the length and their own fields.
+//! `core/tests/virtual/net_header.rs` holds these numbers. Small messages that wait together share
+//! a part, and all of it but the length and their own fields.
 //!
 //! Where nodes have keys, [`link_layer`] seals all of it for the neighbour ([`seal`]): 24 bytes
 //! more on the wire, 12 on CAN. A node that passes a packet on opens it, and seals it for the next

@@ -42,7 +42,7 @@ impl<K: Ord> RefusalAlarms<K> {
         (seen.looks > 0 && seen.looks.is_multiple_of(LOOKS)).then_some(since)
     }
 
-    /// Forgets `who`.
+    /// Forgets what was refused of `who`.
     pub fn forget(&mut self, who: &K) {
         self.seen.remove(who);
     }
@@ -54,11 +54,11 @@ mod tests {
 
     #[test]
     fn what_goes_on_is_told_and_what_passes_never() {
-        let mut complaints = RefusalAlarms::default();
+        let mut alarms = RefusalAlarms::default();
         let mut total = Refusals::default();
         let mut look = |malformed: u64| {
             total.malformed += malformed;
-            let reported = complaints.handle_look("peer", total);
+            let reported = alarms.handle_look("peer", total);
             reported.map(|since| since.malformed)
         };
 
@@ -73,14 +73,14 @@ mod tests {
 
     #[test]
     fn each_is_judged_by_its_own() {
-        let mut complaints = RefusalAlarms::default();
+        let mut alarms = RefusalAlarms::default();
         for n in 1..=3 {
             let many = Refusals { stale: n * 100, ..Refusals::default() };
             let few = Refusals { stale: n, ..Refusals::default() };
-            assert_eq!(complaints.handle_look(1, many).is_some(), n == 3);
-            assert_eq!(complaints.handle_look(2, few), None);
+            assert_eq!(alarms.handle_look(1, many).is_some(), n == 3);
+            assert_eq!(alarms.handle_look(2, few), None);
         }
-        complaints.forget(&1);
-        assert_eq!(complaints.seen.len(), 1);
+        alarms.forget(&1);
+        assert_eq!(alarms.seen.len(), 1);
     }
 }

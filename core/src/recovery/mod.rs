@@ -28,5 +28,6 @@ pub use recoverer::{
 };
 pub use rules::{ChildRules, Restart, RestartGrant, Strategy, SupervisorRules, WhenExceeded};
 pub use supervision::{
-    CallId, ChildState, ChildStatus, GiveUpReason, ReplacementCause, Supervisor, SupervisorOutput,
+    CallId, ChildOrder, ChildState, ChildStatus, GiveUpReason, ReplacementCause, Supervisor,
+    SupervisorOutput,
 };

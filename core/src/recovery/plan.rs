@@ -70,32 +70,13 @@ pub enum PlanError {
         /// The strategy that is spelt most like it.
         nearest: Option<String>,
     },
-    /// An action does not apply to that kind of fault.
-    #[error("the plan answers {what} by {action}, which {why}")]
-    DoesNotApply {
-        /// What it answers.
-        what: String,
-        /// With what.
-        action: RecoveryAction,
-        /// Why that cannot work.
-        why: &'static str,
-    },
-    /// A rung is never tried.
-    #[error(
-        "the plan answers {what} by {action} with 0 attempts: give it at least 1, or leave it out"
-    )]
-    NoAttempt {
-        /// What it answers.
-        what: String,
-        /// With what.
-        action: RecoveryAction,
-    },
-    /// No attempt at a rung can succeed, or its pauses are none.
+    /// A step cannot be carried out against that kind of fault, can never succeed, or is never
+    /// reached.
     #[error("the plan answers {what} by {action}, {why}")]
-    BadTime {
+    BadStep {
         /// What it answers.
         what: String,
-        /// With what.
+        /// The action of the step.
         action: RecoveryAction,
         /// What is wrong, and what to write.
         why: &'static str,
@@ -103,21 +84,10 @@ pub enum PlanError {
     /// A fault of the application's own has no code, or that of a built-in kind.
     #[error("a fault of your own cannot have the code {code:?}: {why}")]
     Code {
-        /// The code.
+        /// The code that was given.
         code: String,
         /// What is wrong, and what to write.
         why: &'static str,
-    },
-    /// Rungs behind an `Observe` can never be reached, because observing does not fail.
-    #[error(
-        "the plan answers {what} by {action} behind observe, which never fails: let observe stand \
-         last"
-    )]
-    Unreachable {
-        /// What it answers.
-        what: String,
-        /// The rung behind.
-        action: RecoveryAction,
     },
 }
 
@@ -175,7 +145,7 @@ impl Default for Plan {
             _ => restart.clone(),
         };
         Plan {
-            kinds: FaultKind::BUILT_IN.iter().map(|kind| (kind.clone(), answer(kind))).collect(),
+            kinds: FaultKind::built_in().map(|kind| (kind.clone(), answer(kind))).collect(),
             components: SortedMap::new(),
             abroad: SortedMap::new(),
             observe: observe.clone(),
@@ -278,8 +248,9 @@ impl Plan {
             };
             if let Some(step) = ladder.steps().iter().find(local) {
                 let (what, action) = (format!("{kind} of other nodes"), step.action.clone());
-                let why = "can only be carried out by that node itself: use a strategy of your own";
-                return Err(PlanError::DoesNotApply { what, action, why });
+                let why =
+                    "which can only be carried out by that node itself: use a strategy of your own";
+                return Err(PlanError::BadStep { what, action, why });
             }
         }
         for (component, kinds) in &self.components {
@@ -310,7 +281,7 @@ fn check_code(kind: &FaultKind) -> Result<(), PlanError> {
     let FaultKind::Custom(code) = kind else { return Ok(()) };
     let why = if code.is_empty() {
         "give it one, such as GRIP"
-    } else if FaultKind::BUILT_IN.iter().any(|built_in| built_in.code() == &**code) {
+    } else if FaultKind::built_in().any(|built_in| built_in.code() == &**code) {
         "a built-in kind has it; choose another one, such as GRIP"
     } else {
         return Ok(());
@@ -334,65 +305,54 @@ fn check_ladder(
             | FaultKind::NodePaused
     );
     let network = link || node;
+    let has_ended = matches!(
+        kind,
+        FaultKind::Panic
+            | FaultKind::UnexpectedExit
+            | FaultKind::InitializationFailed
+            | FaultKind::Fatal
+    );
     let mut observed = false;
     for step in ladder.steps() {
         let action = step.action.clone();
-        if observed {
-            return Err(PlanError::Unreachable { what, action });
-        }
-        if step.attempts == 0 {
-            return Err(PlanError::NoAttempt { what, action });
-        }
-        if step.within.is_zero() {
-            let why = "within no time at all, so that each attempt fails: give it some";
-            return Err(PlanError::BadTime { what, action, why });
-        }
-        if step.backoff.factor == 0 {
-            let why = "with pauses that grow by the factor 0: write 1 for equal ones";
-            return Err(PlanError::BadTime { what, action, why });
-        }
-        match &action {
-            RecoveryAction::Observe => observed = true,
+        let why = match &action {
+            _ if observed => "behind observe, which never fails: let observe stand last",
+            _ if step.attempts == 0 => "with 0 attempts: give it at least 1, or leave it out",
+            _ if step.within.is_zero() => {
+                "within no time at all, so that each attempt fails: give it some"
+            }
+            _ if step.backoff.factor == 0 => {
+                "with pauses that grow by the factor 0: write 1 for equal ones"
+            }
             RecoveryAction::Reset | RecoveryAction::Restart | RecoveryAction::MoveToOwnThread
                 if network =>
             {
-                let why = "needs a component, and there is none in a link or another node";
-                return Err(PlanError::DoesNotApply { what, action, why });
+                "which needs a component, and there is none in a link or another node"
             }
             RecoveryAction::Isolate if link => {
-                let why = "needs a component or a node, and a link is neither";
-                return Err(PlanError::DoesNotApply { what, action, why });
+                "which needs a component or a node, and a link is neither"
             }
             RecoveryAction::Reroute if !network => {
-                let why = "needs a link or another node, and a component is neither";
-                return Err(PlanError::DoesNotApply { what, action, why });
+                "which needs a link or another node, and a component is neither"
             }
-            RecoveryAction::Reset
-                if matches!(
-                    kind,
-                    FaultKind::Panic
-                        | FaultKind::UnexpectedExit
-                        | FaultKind::InitializationFailed
-                        | FaultKind::Fatal
-                ) =>
-            {
-                let why = "needs an incarnation, and that one has ended: use restart";
-                return Err(PlanError::DoesNotApply { what, action, why });
+            RecoveryAction::Reset if has_ended => {
+                "which needs an incarnation, and that one has ended: use restart"
             }
             RecoveryAction::Reset if matches!(kind, FaultKind::Hang | FaultKind::Silence) => {
-                let why = "asks a component that does not answer: use restart";
-                return Err(PlanError::DoesNotApply { what, action, why });
+                "which asks a component that does not answer: use restart"
             }
             RecoveryAction::Custom(name) if !strategies.contains(name.as_ref()) => {
                 let nearest = nearest(name, strategies.iter().copied()).map(str::to_owned);
-                return Err(PlanError::NoSuchStrategy {
-                    what,
-                    strategy: name.as_ref().into(),
-                    nearest,
-                });
+                let strategy = name.as_ref().into();
+                return Err(PlanError::NoSuchStrategy { what, strategy, nearest });
             }
-            _ => {}
-        }
+            RecoveryAction::Observe => {
+                observed = true;
+                continue;
+            }
+            _ => continue,
+        };
+        return Err(PlanError::BadStep { what, action, why });
     }
     Ok(())
 }
@@ -425,7 +385,7 @@ mod tests {
         let plan = Plan::default();
 
         assert_eq!(plan.check([], [], []), Ok(()));
-        for kind in &FaultKind::BUILT_IN {
+        for kind in FaultKind::built_in() {
             let ladder = &plan.kinds[kind];
             let last = &ladder.steps().last().expect("a rung").action;
             assert!(matches!(last, RecoveryAction::SafeStop | RecoveryAction::Observe), "{kind}");
@@ -539,7 +499,7 @@ mod tests {
                     .ends_with("does not answer: use restart")
             );
         }
-        for kind in FaultKind::BUILT_IN {
+        for kind in FaultKind::built_in() {
             let plan = good().on(kind.clone(), Ladder::first(RecoveryAction::Reroute));
             let own = [FaultKind::Custom("GRIP".into())];
             let works = plan.check(&[name("laser")], &own, ["homing"]).is_ok();

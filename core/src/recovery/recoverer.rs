@@ -40,12 +40,6 @@ struct Noted {
     over: bool,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Progress {
-    Waiting { due: Instant },
-    Acting { due: Instant },
-}
-
 #[derive(Clone, Debug)]
 struct Case {
     /// Never empty, at most [`FAULTS_LIMIT`]. The first one has opened the case: its ladder is
@@ -55,7 +49,10 @@ struct Case {
     rung: usize,
     attempt: u32,
     order: u64,
-    progress: Progress,
+    /// Its order is being carried out; otherwise it waits until the next is due.
+    is_acting: bool,
+    /// When the order has failed, or the next is given.
+    due: Instant,
     given_up: bool,
 }
 
@@ -94,12 +91,6 @@ struct LadderProgress {
     until: Instant,
 }
 
-#[derive(Clone, Copy, Debug)]
-struct Engaged {
-    orders: u32,
-    idle_since: Instant,
-}
-
 /// The recoverer of one node. See the [module](self).
 #[derive(Debug)]
 pub struct Recoverer {
@@ -111,8 +102,6 @@ pub struct Recoverer {
     cases: SortedMap<FaultLocation, Case>,
     symptoms: SortedMap<FaultId, Symptom>,
     memories: SortedMap<(FaultLocation, FaultKind), LadderProgress>,
-    open: SortedMap<u64, (FaultLocation, RecoveryAction)>,
-    engaged: SortedMap<RecoveryAction, Engaged>,
     treatment_stop: Option<TreatmentStop>,
     outputs: VecDeque<RecovererOutput>,
 }
@@ -129,8 +118,6 @@ impl Recoverer {
             cases: SortedMap::new(),
             symptoms: SortedMap::new(),
             memories: SortedMap::new(),
-            open: SortedMap::new(),
-            engaged: SortedMap::new(),
             treatment_stop: None,
             outputs: VecDeque::new(),
         }
@@ -190,7 +177,7 @@ impl Recoverer {
             noted.over = true;
         }
         // What is under way is not interrupted: it may be what has helped.
-        if let Progress::Waiting { .. } = case.progress {
+        if !case.is_acting {
             self.drop_over(location, now);
         }
     }
@@ -202,13 +189,11 @@ impl Recoverer {
         outcome: Result<RecoveryDone, RecoveryFailed>,
         now: Instant,
     ) {
-        let Some((location, action)) = self.close_order(number, now) else { return };
-        let Some(case) = self.cases.get_mut(&location) else { return };
-        if case.order != number {
-            return;
-        }
+        let is_its = |case: &Case| case.is_acting && case.order == number;
+        let found = self.cases.iter_mut().find(|(_, case)| is_its(case));
+        let Some((location, case)) = found.map(|(at, case)| (at.clone(), case)) else { return };
         match outcome {
-            Ok(done) => self.settle_case(&location, &action, done, now),
+            Ok(done) => self.settle_case(&location, done, now),
             Err(RecoveryFailed { reason, is_final }) => {
                 if is_final {
                     case.attempt = case.ladder.steps()[case.rung].attempts;
@@ -222,8 +207,7 @@ impl Recoverer {
     /// other part finds out that the action has failed.
     fn handle_struck_again(&mut self, fault: &Fault, now: Instant) {
         let case = &self.cases[&fault.location];
-        if is_stuck(fault) && matches!(case.progress, Progress::Acting { .. }) {
-            self.close_order(case.order, now);
+        if is_stuck(fault) && case.is_acting {
             self.climb(&fault.location, "its next incarnation does not answer either".into(), now);
         }
     }
@@ -268,7 +252,8 @@ impl Recoverer {
             rung,
             attempt,
             order: 0,
-            progress: Progress::Waiting { due: now },
+            is_acting: false,
+            due: now,
             given_up: false,
         };
         self.cases.insert(location.clone(), case);
@@ -326,7 +311,7 @@ impl Recoverer {
             return;
         }
         let delay = step.backoff.delay(case.attempt, self.seed ^ self.orders);
-        case.progress = Progress::Waiting { due: now + delay };
+        (case.is_acting, case.due) = (false, now + delay);
         if delay.is_zero() {
             self.give_order(location, now);
         }
@@ -368,7 +353,7 @@ impl Recoverer {
         let step = &case.ladder.steps()[case.rung];
         let (action, attempt, within) = (step.action.clone(), case.attempt, step.within);
         case.order = number;
-        case.progress = Progress::Acting { due: now + within };
+        (case.is_acting, case.due) = (true, now + within);
         let newest = case.faults.iter().map(|noted| noted.fault.incarnation).max();
         let of_newest = || case.faults.iter().filter(|n| Some(n.fault.incarnation) == newest);
         let telling =
@@ -382,22 +367,14 @@ impl Recoverer {
             };
             self.tell(&fault, RecoveryOutcome::Decided { action });
         }
-        self.open.insert(number, (location.clone(), action.clone()));
-        let idle = Engaged { orders: 0, idle_since: now };
-        self.engaged.entry(action.clone()).or_insert(idle).orders += 1;
         let order = RecoveryOrder { number, action, fault: telling, attempt, within };
         self.outputs.push_back(RecovererOutput::CarryOut(order));
     }
 
     /// The action has worked: whatever it cured is settled, the rest is treated in its turn.
-    fn settle_case(
-        &mut self,
-        location: &FaultLocation,
-        action: &RecoveryAction,
-        done: RecoveryDone,
-        now: Instant,
-    ) {
+    fn settle_case(&mut self, location: &FaultLocation, done: RecoveryDone, now: Instant) {
         let case = self.cases.remove(location).expect("a case that is settled is open");
+        let action = &case.ladder.steps()[case.rung].action;
         let kind = case.faults[0].fault.kind.clone();
         let known = case.faults.iter().filter(|noted| noted.since < case.order);
         let faulty = known.map(|noted| noted.fault.incarnation).max();
@@ -462,19 +439,6 @@ impl Recoverer {
         for symptom in self.symptoms.values_mut().filter(|one| roots.contains(&one.root)) {
             symptom.due.get_or_insert(due);
         }
-    }
-
-    fn close_order(
-        &mut self,
-        number: u64,
-        now: Instant,
-    ) -> Option<(FaultLocation, RecoveryAction)> {
-        let (location, action) = self.open.remove(&number)?;
-        if let Some(engaged) = self.engaged.get_mut(&action) {
-            engaged.orders -= 1;
-            engaged.idle_since = now;
-        }
-        Some((location, action))
     }
 
     fn is_open(&self, id: FaultId) -> bool {

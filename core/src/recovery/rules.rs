@@ -34,7 +34,7 @@ pub enum WhenExceeded {
 /// Which ends of a child are followed by a restart.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Restart {
-    /// Every one.
+    /// Every end is followed by a restart.
     #[default]
     Permanent,
     /// Every one but an orderly end.

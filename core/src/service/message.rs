@@ -34,7 +34,7 @@ pub(super) enum EntryPayload {
 /// How much of the primary's log a standby has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum StandbyStatus {
-    /// All entries.
+    /// All entries, and its component has loaded what it has to.
     InStep,
     /// All entries, and its component has yet to load the state.
     Loading,

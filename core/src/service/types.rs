@@ -73,7 +73,7 @@ pub enum ReplicaOutput {
     /// Give the component a state, and report that by
     /// [`Replica::handle_loaded`](super::Replica::handle_loaded).
     Load {
-        /// The state.
+        /// The component's encoded state.
         state: Bytes,
     },
     /// Declare a fault of the service on this node. A later output of the same kind replaces its
@@ -96,7 +96,7 @@ pub enum ReplicaOutput {
     /// [`Replica::handle_no_service`](super::Replica::handle_no_service) or
     /// [`Replica::handle_left`](super::Replica::handle_left).
     Compare {
-        /// The node.
+        /// The node to ask.
         with: NodeName,
     },
     /// Ask the primaries of the services that this one depends on whether they serve. Once all do,

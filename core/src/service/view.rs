@@ -7,7 +7,7 @@ use std::fmt;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ServiceState {
-    /// It serves.
+    /// It serves the callers of the service.
     Primary,
     /// It has the primary's state, and can take over.
     Standby,

@@ -1,6 +1,6 @@
 //! The set.
 
-use super::{Keys, SortedMap};
+use super::{Keys, SortedMap, key};
 use std::borrow::Borrow;
 use std::fmt::{self, Debug};
 use std::ops::RangeBounds;
@@ -103,7 +103,8 @@ impl<T: Ord> SortedSet<T> {
     where
         T: Borrow<Q>,
     {
-        Keys(self.0.range(range))
+        let (from, to) = self.0.bounds(&range);
+        self.0.between(from, to).map(key as fn(_) -> _)
     }
 
     /// The elements that are not in the other set, in order.

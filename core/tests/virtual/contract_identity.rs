@@ -4,29 +4,36 @@ use blastema_core::contract::codec::{decode_bounded, encode_bounded};
 use blastema_core::contract::layout::difference::{ContractPart, compare};
 use blastema_core::contract::layout::{Field, Fields, Primitive, Shape};
 use blastema_core::{
-    ContractIdentity, DecodeError, Described, DescriptionError, FaultKind, FaultLocation,
-    LayoutDescription, Lifecycle, ObjectAddress, PeerIdentity,
+    ContractIdentity, DecodeError, Described, FaultKind, FaultLocation, LayoutDescription,
+    Lifecycle, ObjectAddress, PeerIdentity,
 };
 use blastema_macros::{Event, Request, Structure};
 use std::sync::Arc;
 use std::time::Duration;
 
+/// The contract of both sides, of the parts that the module has.
+macro_rules! state {
+    () => {
+        /// A comment does not count.
+        #[derive(Clone, Event)]
+        #[contract(name = "robot/state", crate = "crate::facade")]
+        pub(crate) struct State {
+            #[contract(unit = "m", frame = "laser")]
+            pub ranges: Vec<f32>,
+            pub left: f64,
+            pub right: f64,
+            pub pose: Pose,
+            pub mode: Mode,
+            pub plan: Option<Step>,
+        }
+    };
+}
+
 /// The types of one side. The other side's differ in one thing each.
 mod here {
     use super::*;
 
-    /// A comment does not count.
-    #[derive(Clone, Event)]
-    #[contract(name = "robot/state", crate = "crate::facade")]
-    pub(crate) struct State {
-        #[contract(unit = "m", frame = "laser")]
-        pub ranges: Vec<f32>,
-        pub left: f64,
-        pub right: f64,
-        pub pose: Pose,
-        pub mode: Mode,
-        pub plan: Option<Step>,
-    }
+    state! {}
 
     #[derive(Clone, Structure)]
     #[contract(crate = "crate::facade")]
@@ -44,7 +51,7 @@ mod here {
         Charging(u8, u8),
     }
 
-    /// Contains itself.
+    /// A structure that contains itself.
     #[derive(Clone, Structure)]
     #[contract(crate = "crate::facade")]
     pub(crate) struct Step {
@@ -179,17 +186,7 @@ fn exchanged_renamed_added_and_removed_fields_are_named() {
 #[test]
 fn a_difference_deep_inside_a_recursive_type_is_found_once() {
     let lines = lines! {
-        #[derive(Clone, Event)]
-        #[contract(name = "robot/state", crate = "crate::facade")]
-        pub(crate) struct State {
-            #[contract(unit = "m", frame = "laser")]
-            pub ranges: Vec<f32>,
-            pub left: f64,
-            pub right: f64,
-            pub pose: Pose,
-            pub mode: Mode,
-            pub plan: Option<Step>,
-        }
+        state! {}
 
         #[derive(Clone, Structure)]
         #[contract(crate = "crate::facade")]
@@ -241,17 +238,7 @@ fn units_and_frames_count() {
 #[test]
 fn variants_are_compared_by_name_order_and_fields() {
     let lines = lines! {
-        #[derive(Clone, Event)]
-        #[contract(name = "robot/state", crate = "crate::facade")]
-        pub(crate) struct State {
-            #[contract(unit = "m", frame = "laser")]
-            pub ranges: Vec<f32>,
-            pub left: f64,
-            pub right: f64,
-            pub pose: Pose,
-            pub mode: Mode,
-            pub plan: Option<Step>,
-        }
+        state! {}
 
         #[derive(Clone, Structure)]
         #[contract(crate = "crate::facade")]
@@ -346,8 +333,8 @@ fn identities_of_the_same_contract_bind_after_travelling() {
 }
 
 #[track_caller]
-fn check_refused(types: Vec<Shape<u32>>, expected: DescriptionError) {
-    assert_eq!(LayoutDescription::try_from(types.clone()), Err(expected.clone()));
+fn check_refused(types: Vec<Shape<u32>>, expected: &str) {
+    assert_eq!(LayoutDescription::try_from(types.clone()), Err(expected.to_owned()));
 
     let mut bytes = Vec::new();
     encode_bounded(&types, usize::MAX, &mut bytes).unwrap();
@@ -359,14 +346,12 @@ fn check_refused(types: Vec<Shape<u32>>, expected: DescriptionError) {
 fn an_unsound_description_is_refused() {
     let named = |name: &str| Shape::Struct(name.to_owned().into(), Fields::Unit);
 
-    check_refused(vec![], DescriptionError::Empty);
-    check_refused(vec![named("A"); 513], DescriptionError::TooManyTypes { count: 513 });
-    check_refused(
-        vec![Shape::Sequence(1)],
-        DescriptionError::DanglingReference { index: 1, count: 1 },
-    );
-    check_refused(vec![named("red \u{1b}[31m")], DescriptionError::Unprintable);
-    check_refused(vec![named(&"n".repeat(129))], DescriptionError::Unprintable);
+    check_refused(vec![], "the description is empty");
+    check_refused(vec![named("A"); 513], "the description holds 513 types; at most 512 are taken");
+    check_refused(vec![Shape::Sequence(1)], "the description refers to type 1 of 1");
+    let unprintable = "the description holds a name or unit that cannot be shown";
+    check_refused(vec![named("red \u{1b}[31m")], unprintable);
+    check_refused(vec![named(&"n".repeat(129))], unprintable);
 }
 
 #[test]

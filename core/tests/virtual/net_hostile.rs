@@ -122,8 +122,12 @@ fn genuine() -> Vec<Bytes> {
         segment,
         Segment::Open(open).encode(),
         Segment::Datagram(datagram).encode(),
-        Segment::Acknowledge { tag: 1, streams: [None, Some(ack), None, None], datagrams: None }
-            .encode(),
+        Segment::Acknowledge {
+            tag: 1,
+            streams: [None, None, None, Some(ack), None, None],
+            datagrams: None,
+        }
+        .encode(),
         Segment::Reset { tag: 1 }.encode(),
         PeerMessage::Request {
             binding: 1,
@@ -413,13 +417,20 @@ fn a_peer_that_never_finishes_a_message_costs_no_more_than_its_bound() {
 fn an_acknowledgement_of_what_was_never_sent_is_refused_and_an_absurd_window_bounded() {
     let (mut session, tag) = session();
     let ack = Ack { next: 5, window: u32::MAX, arrived: DelayTicks::default(), ranges: vec![] };
-    let lie = Segment::Acknowledge { tag, streams: [None, Some(ack), None, None], datagrams: None };
+    let lie = Segment::Acknowledge {
+        tag,
+        streams: [None, None, None, Some(ack), None, None],
+        datagrams: None,
+    };
     session.handle_segment(lie.encode(), Instant::ORIGIN);
     assert_eq!(session.refusals().malformed, 1);
 
     let ack = Ack { next: 0, window: u32::MAX, arrived: DelayTicks::default(), ranges: vec![] };
-    let greedy =
-        Segment::Acknowledge { tag, streams: [None, Some(ack), None, None], datagrams: None };
+    let greedy = Segment::Acknowledge {
+        tag,
+        streams: [None, None, None, Some(ack), None, None],
+        datagrams: None,
+    };
     session.handle_segment(greedy.encode(), Instant::ORIGIN);
     for _ in 0..8000 {
         let (along, bytes) =

@@ -6,7 +6,7 @@
 //! request is answered once, and when the world calms down, all that should be at work is.
 
 use blastema_core::recovery::{
-    CallId, ChildRules, ChildState, ReplacementCause, Restart, Strategy, Supervisor,
+    CallId, ChildOrder, ChildRules, ChildState, ReplacementCause, Restart, Strategy, Supervisor,
     SupervisorOutput, SupervisorRules, WhenExceeded,
 };
 use blastema_core::{Incarnation, Instant, Machine, ObjectName};
@@ -133,25 +133,29 @@ impl World {
                     }
                     self.present.insert(child, (incarnation, Phase::Starting));
                 }
-                SupervisorOutput::Stop { child, .. } => {
+                SupervisorOutput::Order { child, order: ChildOrder::Stop { .. } } => {
                     assert!(!self.orders.contains(&child), "{child} stops under a standing order");
                     if let Some((_, phase)) = self.present.get_mut(&child) {
                         *phase = Phase::Stopping;
                     }
                 }
-                SupervisorOutput::Abandon(child)
-                | SupervisorOutput::CutOff(child)
+                SupervisorOutput::Order {
+                    child,
+                    order: ChildOrder::Abandon | ChildOrder::CutOff,
+                }
                 | SupervisorOutput::Overdue { child, .. } => {
                     self.orders.remove(&child);
                     self.present.remove(&child);
                 }
-                SupervisorOutput::RestartGrant { child, order: Some(order) } => {
-                    assert_eq!(self.strategy, Strategy::OneForOne);
-                    assert!(order.times > 0 && order.times <= self.intensity);
-                    self.orders.insert(child);
-                }
-                SupervisorOutput::RestartGrant { child, order: None } => {
-                    self.orders.remove(&child);
+                SupervisorOutput::Order { child, order: ChildOrder::RestartGrant(grant) } => {
+                    match grant {
+                        Some(grant) => {
+                            assert_eq!(self.strategy, Strategy::OneForOne);
+                            assert!(grant.times > 0 && grant.times <= self.intensity);
+                            self.orders.insert(child);
+                        }
+                        None => drop(self.orders.remove(&child)),
+                    }
                 }
                 SupervisorOutput::Recovered { call, child, incarnation } => {
                     assert!(self.open.remove(&call), "{call:?} is answered twice");
@@ -179,12 +183,9 @@ impl World {
                 SupervisorOutput::GiveUp(_) => {
                     assert!(!self.escalated, "it is said before all else");
                 }
-                SupervisorOutput::ExpectEnd(_)
-                | SupervisorOutput::Reset(_)
+                SupervisorOutput::Order { .. }
                 | SupervisorOutput::Refused { .. }
                 | SupervisorOutput::Unavailable(_)
-                | SupervisorOutput::Isolate { .. }
-                | SupervisorOutput::Retire(_)
                 | SupervisorOutput::Left(_) => {}
             }
         }
@@ -310,7 +311,7 @@ impl World {
             }
             Some((_, Phase::Present)) => {}
             None => {
-                // As `Child::stop` says: who is not alive answers at once.
+                // As `ChildOrder::Stop` says: a child that is not alive answers at once.
                 let incarnation = self.last.get(name).copied().unwrap_or_default();
                 self.machine.handle_stopped(name, incarnation, self.now);
             }
@@ -445,7 +446,7 @@ proptest! {
         let (mut stops, mut starts) = (Vec::new(), Vec::new());
         while let Some(action) = world.machine.poll_output() {
             match action {
-                SupervisorOutput::Stop { child, .. } => {
+                SupervisorOutput::Order { child, order: ChildOrder::Stop { .. } } => {
                     stops.push(world.place(&child));
                     world.machine.handle_stopped(&child, Incarnation::FIRST, world.now);
                 }

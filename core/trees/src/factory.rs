@@ -12,7 +12,6 @@ use std::sync::Arc;
 #[derive(Clone, Default)]
 pub struct Factory {
     pub(crate) leaves: BTreeMap<String, Arc<LeafModel>>,
-    pub(crate) enums: BTreeMap<String, i64>,
 }
 
 impl Factory {
@@ -95,11 +94,6 @@ impl Factory {
         }
         let model = LeafModel { name: name.to_owned(), kind, ports, make };
         self.leaves.insert(name.to_owned(), Arc::new(model));
-    }
-
-    /// Gives a number a name that scripts and cases of `Switch` can use.
-    pub fn enum_value(&mut self, name: &str, number: i64) {
-        self.enums.insert(name.to_owned(), number);
     }
 
     /// The `TreeNodesModel` of the application's leaves, as a file that Groot2 loads.

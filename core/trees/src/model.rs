@@ -11,7 +11,7 @@ pub(crate) enum PortDirection {
     Input,
     /// The node writes it.
     Output,
-    /// Both.
+    /// The node reads and writes it.
     InOut,
 }
 
@@ -60,7 +60,7 @@ impl Port {
         Port::new(name, PortDirection::InOut, T::TYPE)
     }
 
-    /// The name.
+    /// Returns the port's name.
     pub const fn name(&self) -> &'static str {
         self.name
     }
@@ -106,7 +106,6 @@ impl Port {
 pub(crate) enum PortRole {
     /// A value, or in braces the entry that holds it.
     Value,
-    /// A script.
     Script,
     /// The name of an entry, or in braces the entry that holds its name.
     Name,
@@ -129,7 +128,7 @@ pub enum LeafKind {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) enum Kind {
     /// `Sequence`, `Fallback` and their like.
-    Ordered(ChildOrder),
+    Ordered(TickOrder),
     /// `ReactiveSequence` and `ReactiveFallback`.
     Reactive {
         go: Status,
@@ -173,7 +172,7 @@ pub(crate) enum Kind {
 
 /// A rule by which children are ticked in turn.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct ChildOrder {
+pub(crate) struct TickOrder {
     /// The answer after which the next child is ticked; any other one stops.
     pub(crate) go: Status,
     /// A child that is done at once ends the tick.
@@ -182,13 +181,13 @@ pub(crate) struct ChildOrder {
     pub(crate) keeps: bool,
 }
 
-impl ChildOrder {
-    pub(crate) const SEQUENCE: ChildOrder =
-        ChildOrder { go: Status::Success, yields: false, keeps: false };
-    const FALLBACK: ChildOrder = ChildOrder { go: Status::Failure, ..ChildOrder::SEQUENCE };
-    const ASYNC_SEQUENCE: ChildOrder = ChildOrder { yields: true, ..ChildOrder::SEQUENCE };
-    const ASYNC_FALLBACK: ChildOrder = ChildOrder { yields: true, ..ChildOrder::FALLBACK };
-    const WITH_MEMORY: ChildOrder = ChildOrder { keeps: true, ..ChildOrder::ASYNC_SEQUENCE };
+impl TickOrder {
+    pub(crate) const SEQUENCE: TickOrder =
+        TickOrder { go: Status::Success, yields: false, keeps: false };
+    const FALLBACK: TickOrder = TickOrder { go: Status::Failure, ..TickOrder::SEQUENCE };
+    const ASYNC_SEQUENCE: TickOrder = TickOrder { yields: true, ..TickOrder::SEQUENCE };
+    const ASYNC_FALLBACK: TickOrder = TickOrder { yields: true, ..TickOrder::FALLBACK };
+    const WITH_MEMORY: TickOrder = TickOrder { keeps: true, ..TickOrder::ASYNC_SEQUENCE };
 }
 
 impl Kind {
@@ -235,12 +234,12 @@ pub(crate) type Builtin = (&'static str, Kind, &'static [Port]);
 /// All types of nodes of BehaviorTree.CPP 4.10 that need no application, but for
 /// `ManualSelector`, which asks on a terminal.
 pub(crate) static BUILTINS: [Builtin; 42] = [
-    ("Sequence", Kind::Ordered(ChildOrder::SEQUENCE), &[]),
-    ("AsyncSequence", Kind::Ordered(ChildOrder::ASYNC_SEQUENCE), &[]),
-    ("SequenceWithMemory", Kind::Ordered(ChildOrder::WITH_MEMORY), &[]),
+    ("Sequence", Kind::Ordered(TickOrder::SEQUENCE), &[]),
+    ("AsyncSequence", Kind::Ordered(TickOrder::ASYNC_SEQUENCE), &[]),
+    ("SequenceWithMemory", Kind::Ordered(TickOrder::WITH_MEMORY), &[]),
     ("ReactiveSequence", Kind::Reactive { go: Status::Success }, &[]),
-    ("Fallback", Kind::Ordered(ChildOrder::FALLBACK), &[]),
-    ("AsyncFallback", Kind::Ordered(ChildOrder::ASYNC_FALLBACK), &[]),
+    ("Fallback", Kind::Ordered(TickOrder::FALLBACK), &[]),
+    ("AsyncFallback", Kind::Ordered(TickOrder::ASYNC_FALLBACK), &[]),
     ("ReactiveFallback", Kind::Reactive { go: Status::Failure }, &[]),
     (
         "Parallel",

@@ -15,7 +15,7 @@ pub enum Value {
     Int(i64),
     /// A real number.
     Real(f64),
-    /// A text.
+    /// A string of characters.
     Text(Arc<str>),
     /// Several values, such as the elements of a loop.
     List(Arc<[Value]>),
@@ -24,7 +24,7 @@ pub enum Value {
 }
 
 impl Value {
-    /// A text.
+    /// Returns the value that holds this text.
     pub fn text(text: impl Into<Arc<str>>) -> Value {
         Value::Text(text.into())
     }

@@ -191,19 +191,6 @@ fn hang_replaces_the_culprit_and_moves_its_neighbour_with_what_waited() {
 }
 
 #[test]
-fn two_nodes_lose_nothing_when_a_cable_is_cut() {
-    let _turn = blastema_doubles::turn();
-    check(
-        "two_nodes",
-        &[
-            "300 requests answered, one after the other",
-            "link down: module1 -ethernet- module2",
-            "300 events heard, once and in order",
-        ],
-    );
-}
-
-#[test]
 fn names_are_taken_over_by_a_standby_that_was_found_by_itself() {
     let _turn = blastema_doubles::turn();
     check("names", &["map is at module1:cartographer", "map is at module2:cartographer"]);
@@ -326,15 +313,6 @@ fn commander_leaves_the_wheels_at_rest_when_its_cable_is_cut() {
         &[
             "the planner hears: the commander holds no lease of module2:wheels, or no more: claim it",
         ],
-    );
-}
-
-#[test]
-fn either_order_waits_for_motors_that_start_later_and_that_restart() {
-    let _turn = blastema_doubles::turn();
-    check(
-        "either_order",
-        &["the planner is active", "motors #1: 1 m/s", "-- the motors fail", "motors #2: 1 m/s"],
     );
 }
 

@@ -133,9 +133,9 @@ fn the_motors_are_a_process_by_moving_one_element_and_their_group_restarts_with_
     assert_eq!(others.count(), 1, "the rest of the robot goes on: {:#?}", robot.seen);
     robot.end();
     let (_sender, never) = channel::<()>();
-    let patience = Instant::now() + PATIENCE;
+    let deadline = Instant::now() + PATIENCE;
     while !processes(&file, "drive_unit").is_empty() {
-        assert!(Instant::now() < patience, "the process outlives the robot");
+        assert!(Instant::now() < deadline, "the process outlives the robot");
         let _ = never.recv_timeout(Duration::from_millis(20));
     }
 }

@@ -7,11 +7,12 @@
 //! the second after another. `CUTS=n` sets how many there are of each kind.
 
 use crate::measure::Quantiles;
+use crate::process::addresses;
 use blastema::core::net::LinkId;
 use blastema::core::random::Random;
 use blastema::prelude::*;
 use blastema::{Cable, Direction, Link, LinkState, Network};
-use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+use std::net::SocketAddr;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -78,9 +79,7 @@ struct Pair {
 
 impl Pair {
     async fn start() -> Pair {
-        let sockets = [(); 2 * CABLES]
-            .map(|()| UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).expect("a free port"));
-        let at = sockets.map(|socket| socket.local_addr().expect("a bound socket has an address"));
+        let at = addresses::<{ 2 * CABLES }>();
         let network = |number: usize, own: SocketAddr, name: &str, remote: SocketAddr| {
             let link = Link::new(name, remote).hello_every(HELLO);
             Network::udp(&format!("cable{number}"), own).link(link).with_faults(number as u64)

@@ -14,7 +14,6 @@ pub(crate) fn median(mut figures: Vec<f64>) -> f64 {
 pub(crate) struct Quantiles(Vec<Duration>);
 
 impl Quantiles {
-    /// Adds one.
     pub(crate) fn add(&mut self, figure: Duration) {
         self.0.push(figure);
     }

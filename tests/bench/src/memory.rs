@@ -1,10 +1,9 @@
 //! What a component costs in memory besides its own state, beside a bare actix actor.
 
 use crate::measure::Table;
-use crate::process::settle;
+use crate::process::{fresh, settle};
 use actix::prelude::{Actor, Context as ActixContext};
 use blastema::prelude::*;
-use std::process::Command;
 
 /// Components without any state.
 struct Idle;
@@ -80,22 +79,17 @@ async fn ours(count: usize, used: bool) -> f64 {
     bytes
 }
 
-fn fresh(kind: &str, count: usize) -> f64 {
-    let program = std::env::current_exe().expect("a running program has a file");
-    let output = Command::new(program)
-        .args(["--child", "memory", kind, &count.to_string()])
-        .output()
-        .expect("this program starts");
-    String::from_utf8_lossy(&output.stdout).trim().parse().unwrap_or(f64::NAN)
-}
-
 pub(crate) fn run(rounds: usize) {
     let mut table = Table::new("memory of a component besides its own state", "bytes");
     for _ in 0..rounds {
-        table.add("bare actix actor", fresh("bare", COUNT));
-        table.add("component, idle", fresh("idle", COUNT));
-        table.add("component, used once", fresh("used", COUNT));
-        table.add("component, idle, one of 100,000", fresh("idle", MANY));
+        for (row, kind, count) in [
+            ("bare actix actor", "bare", COUNT),
+            ("component, idle", "idle", COUNT),
+            ("component, used once", "used", COUNT),
+            ("component, idle, one of 100,000", "idle", MANY),
+        ] {
+            table.add(row, fresh("memory", &[kind, &count.to_string()]));
+        }
     }
     table.print();
 }

@@ -1,9 +1,8 @@
 //! What it costs to watch ten thousand components.
 
 use crate::measure::Table;
-use crate::process::{cpu_seconds, settle};
+use crate::process::{cpu_seconds, fresh, settle};
 use blastema::prelude::*;
-use std::process::Command;
 use std::time::{Duration, Instant};
 
 struct Idle;
@@ -28,20 +27,11 @@ pub(crate) fn child(arguments: &[String]) {
     println!("{percent}");
 }
 
-fn fresh(count: usize) -> f64 {
-    let program = std::env::current_exe().expect("a running program has a file");
-    let output = Command::new(program)
-        .args(["--child", "monitored", &count.to_string()])
-        .output()
-        .expect("this program starts");
-    String::from_utf8_lossy(&output.stdout).trim().parse().unwrap_or(f64::NAN)
-}
-
 pub(crate) fn run(rounds: usize) {
     let mut table = Table::new("components watched every 100 ms", "% of one core");
     for _ in 0..rounds {
         for count in [0, 100, 10_000] {
-            table.add(&format!("{count} components"), fresh(count));
+            table.add(&format!("{count} components"), fresh("monitored", &[&count.to_string()]));
         }
     }
     table.print();

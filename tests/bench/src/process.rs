@@ -1,9 +1,10 @@
 //! What benchmarks of several processes, and of a whole process, have in common.
 
+use blastema::{Link, Network, Node, NodeBuilder};
 use rustix::thread::{CpuSet, sched_setaffinity};
 use std::io::{BufRead, BufReader, Write};
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
-use std::process::{Child, ChildStdout, Command, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 /// Keeps the threads that this one starts from now on, and itself, on one core.
@@ -21,41 +22,19 @@ pub(crate) fn addresses<const N: usize>() -> [SocketAddr; N] {
 }
 
 /// Another process of this program, which ends with its standard input.
-pub(crate) struct Peer(Child, BufReader<ChildStdout>);
+pub(crate) struct Peer(Child);
 
 impl Peer {
     /// Starts a part of this program as a child, and waits until it says that it is ready.
     pub(crate) fn start(part: &str, arguments: &[String]) -> Self {
-        let mut peer = Peer::spawn(part, arguments);
-        peer.line();
-        peer
-    }
-
-    /// Starts a part of this program as a child.
-    pub(crate) fn spawn(part: &str, arguments: &[String]) -> Self {
-        let program = std::env::current_exe().expect("a running program has a file");
-        let mut child = Command::new(program)
-            .args(["--child", part])
-            .args(arguments)
+        let mut child = program(part, arguments)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
             .expect("this program starts");
-        let output = BufReader::new(child.stdout.take().expect("it was piped"));
-        Peer(child, output)
-    }
-
-    /// Sends it an empty line.
-    pub(crate) fn ask(&mut self) {
-        let input = self.0.stdin.as_mut().expect("it was piped");
-        input.write_all(b"\n").expect("it reads");
-    }
-
-    /// The next line that it prints.
-    pub(crate) fn line(&mut self) -> String {
-        let mut line = String::new();
-        self.1.read_line(&mut line).expect("it prints a line");
-        line
+        let output = child.stdout.take().expect("it was piped");
+        BufReader::new(output).read_line(&mut String::new()).expect("it prints a line");
+        Peer(child)
     }
 }
 
@@ -64,6 +43,35 @@ impl Drop for Peer {
         drop(self.0.stdin.take());
         let _ = self.0.wait();
     }
+}
+
+/// This program as a child that runs a part.
+fn program(part: &str, arguments: &[String]) -> Command {
+    let mut program = Command::new(std::env::current_exe().expect("a running program has a file"));
+    program.args(["--child", part]).args(arguments);
+    program
+}
+
+/// The figure that a fresh process prints that runs a part; not a number where it prints none.
+pub(crate) fn fresh(part: &str, arguments: &[&str]) -> f64 {
+    let output = program(part, &texts(arguments)).output().expect("this program starts");
+    String::from_utf8_lossy(&output.stdout).trim().parse().unwrap_or(f64::NAN)
+}
+
+/// A node with these links, of three words each: `OWN NEIGHBOUR ADDRESS`. The key may be empty.
+pub(crate) fn builder(name: &str, key: &str, medium: &str, links: &[String]) -> NodeBuilder {
+    let builder = Node::builder(name);
+    let mut builder = if key.is_empty() { builder } else { builder.keys(key) };
+    for (number, link) in links.chunks(3).enumerate() {
+        let [own, far, at] = link else { panic!("the parent writes three words for a link") };
+        let parse = |text: &str| text.parse().expect("the parent writes addresses");
+        let (name, far) = (format!("net{number}"), Link::new(far, parse(at)));
+        builder = builder.network(match medium {
+            "tcp" => Network::tcp(&name, parse(own)).link(far),
+            _ => Network::udp(&name, parse(own)).link(far),
+        });
+    }
+    builder
 }
 
 /// Says that this process is ready, and waits until its parent ends it.

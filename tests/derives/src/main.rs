@@ -18,7 +18,7 @@ pub struct Scan {
 /// A part of messages.
 #[derive(Clone, Debug, Structure)]
 pub struct Pose {
-    /// Forward.
+    /// The distance ahead.
     pub x: f64,
     /// Row by row.
     pub covariance: [f64; 36],

@@ -2,6 +2,8 @@
 
 use crate::Model;
 use crate::liveness::activity::ActivityRecord;
+use blastema_core::Incarnation;
+use blastema_core::detection::hang::ComponentSample;
 use loom::thread;
 use std::sync::Arc;
 
@@ -23,7 +25,7 @@ fn turn_and_label() {
 
     let reading = activity.read();
 
-    match reading.turn {
+    match reading.component.turn {
         0 => {}
         1 | 2 => assert!(matches!(reading.during, 7 | 8), "{reading:?}"),
         _ => assert_eq!(reading.during, 8, "{reading:?}"),
@@ -45,8 +47,10 @@ fn never_back() {
 
     let (first, second) = (activity.read(), activity.read());
 
-    assert!(first.turn <= second.turn && first.alive <= second.alive, "{first:?} {second:?}");
+    let (before, after) = (first.component, second.component);
+    assert!(before.turn <= after.turn && before.alive <= after.alive, "{first:?} {second:?}");
     worker.join().expect("it does not panic");
     let last = activity.read();
-    assert_eq!((last.turn, last.alive, last.incarnation, last.during), (2, 1, 1, 7));
+    let ComponentSample { turn, alive, incarnation, .. } = last.component;
+    assert_eq!((turn, alive, incarnation, last.during), (2, 1, Incarnation(1), 7));
 }

@@ -67,7 +67,7 @@ fn fenced_before_the_successor() {
     let supervisor = {
         let (token, queue, out) = (token.clone(), queue.clone(), out.clone());
         thread::spawn(move || {
-            // As `HostedChild::abandon` and `start` do.
+            // As `ChildOrder::Abandon` and a start do.
             queue.leave(Incarnation(1));
             token.end();
             queue.begin(Incarnation(2));

@@ -5,7 +5,9 @@
 use blastema::core::detection::FaultEntry;
 use blastema::prelude::*;
 use blastema::{Blob, Contract, DeadLetterLog};
-use blastema_tests::{MS, PATIENCE, Process, addresses, free_addresses, pair_network, role, until};
+use blastema_tests::{
+    MS, PATIENCE, Process, addresses, burn, free_addresses, pair_network, role, until,
+};
 use std::cell::Cell;
 use std::rc::Rc;
 use std::sync::{Arc, OnceLock};
@@ -54,10 +56,7 @@ impl Handle<Note> for Ledger {
 
 impl Handle<News> for Ledger {
     async fn handle(&mut self, News(number): News, _: &mut Context<Self>) {
-        let end = std::time::Instant::now() + 2 * MS;
-        while std::time::Instant::now() < end {
-            std::hint::spin_loop();
-        }
+        burn(2 * MS);
         assert!(self.last.replace(number).is_none_or(|last| last < number), "once and in order");
         self.arrived += 1;
     }

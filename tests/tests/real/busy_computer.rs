@@ -3,14 +3,14 @@
 use blastema::Incarnation;
 use blastema::core::detection::FaultEntry;
 use blastema::prelude::*;
+use blastema_tests::{MS, Part, accepts, until};
 use rustix::time::{ClockId, clock_gettime};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, Condvar, Mutex};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-const MS: Duration = Duration::from_millis(1);
 /// As long as anything here may take on a busy machine.
 const LONG: Duration = Duration::from_secs(60);
 /// The limit of all handlers that are not to hang by chance.
@@ -80,11 +80,7 @@ fn a_computer_that_has_no_time_is_the_root_of_an_overload_and_no_component_is() 
         let builder = Node::builder("m").work_threads(1).child(safety).child(fast);
         let node = builder.start().await.expect("the node starts");
 
-        let begun = Instant::now();
-        while !node.faults().await.entries.iter().any(is_computers) {
-            assert!(begun.elapsed() < LONG, "{:#?}", node.faults().await);
-            tokio::time::sleep(20 * MS).await;
-        }
+        until(async || node.faults().await.entries.iter().any(is_computers), "an overload").await;
         tokio::time::sleep(4000 * MS).await;
 
         let record = node.faults().await;
@@ -126,15 +122,8 @@ struct Grip {
     used: AtomicU64,
 }
 
-struct Stuck(Way, Arc<Grip>);
-impl Component for Stuck {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.accept::<Keep>();
-    }
-}
-impl Handle<Keep> for Stuck {
-    async fn handle(&mut self, _: Keep, _: &mut Context<Self>) {
-        let Stuck(way, grip) = self;
+fn stuck(way: Way, grip: &Arc<Grip>) -> ChildSpec<Part<(Way, Arc<Grip>), Keep>> {
+    accepts("stuck", (way, grip.clone()), |(way, grip), _, _| {
         let before = used();
         if let Way::Waits = way {
             let is_released = grip.is_released.lock().unwrap();
@@ -144,7 +133,7 @@ impl Handle<Keep> for Stuck {
             let micros = (used() - before).as_micros();
             grip.used.store(u64::try_from(micros).expect("it fits"), SeqCst);
         }
-    }
+    })
 }
 
 fn is_hang(entry: &FaultEntry) -> bool {
@@ -158,26 +147,20 @@ fn is_found_alone(way: Way) -> Duration {
     blastema::run(async move {
         let load = BusyComputer::start(4);
         let grip = Arc::new(Grip::default());
-        let shared = grip.clone();
-        let stuck = ChildSpec::new("stuck", move || Stuck(way, shared.clone()));
         let busy = |name, time, rate| {
             let spec = ChildSpec::new(name, move || Busy(time)).rate_hz(rate);
             spec.ready_within(LONG).max_block(MAX_BLOCK)
         };
         let builder = Node::builder("m")
             .work_threads(1)
-            .child(stuck.ready_within(LONG).max_block(MAX_BLOCK))
+            .child(stuck(way, &grip).ready_within(LONG).max_block(MAX_BLOCK))
             .child(busy("beside", MS, 50.0))
             .child(busy("apart", MS, 50.0).on_own_thread())
             .child(busy("slow", MAX_BLOCK / 2, 1.0).on_own_thread());
         let node = builder.start().await.expect("the node starts");
 
         node.sender("stuck").expect("it is there").tell(Keep).expect("there is room");
-        let begun = Instant::now();
-        while !node.faults().await.entries.iter().any(is_hang) {
-            assert!(begun.elapsed() < LONG, "{:#?}", node.faults().await);
-            tokio::time::sleep(5 * MS).await;
-        }
+        until(async || node.faults().await.entries.iter().any(is_hang), "a hang").await;
         let used = Duration::from_micros(grip.used.load(SeqCst));
 
         let row = |name: &str| format!("m:{name}");

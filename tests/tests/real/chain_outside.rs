@@ -5,6 +5,7 @@ use blastema::prelude::*;
 use blastema::{
     ActuatorSpec, CommandTimeout, FaultTransition, NodeBuilder, RecoveryStrategy, StrategyContext,
 };
+use blastema_tests::{found, until};
 use std::path::Path;
 use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering::SeqCst;
@@ -81,19 +82,6 @@ fn robot(ladder: Ladder) -> NodeBuilder {
         .child(joint("joint2"))
 }
 
-/// Waits until this is so.
-async fn until<T>(mut look: impl AsyncFnMut() -> Option<T>) -> T {
-    let wait = async {
-        loop {
-            match look().await {
-                Some(seen) => return seen,
-                None => blastema::sleep(5 * MS).await,
-            }
-        }
-    };
-    tokio::time::timeout(PATIENCE, wait).await.expect("it comes to be")
-}
-
 async fn leak(node: &Node, joint: &str) {
     node.sender::<Leak>(joint).unwrap().ask(Leak).await.unwrap();
 }
@@ -138,12 +126,12 @@ impl RecoveryStrategy for Oil {
     async fn carry_out(
         &self,
         order: &RecoveryOrder,
-        tools: &StrategyContext,
+        context: &StrategyContext,
     ) -> Result<RecoveryDone, RecoveryFailed> {
         if order.fault.location.to_string().ends_with("joint1") {
             self.0.block();
         }
-        tools.restart(&order.fault).await
+        context.restart(&order.fault).await
     }
 }
 
@@ -160,9 +148,10 @@ fn a_strategy_that_blocks_is_named_and_the_fault_chain_goes_on_without_it() {
         leak(&node, "joint1").await;
         leak(&node, "joint2").await;
 
-        until(async || (incarnation(&node, "joint1").await == Some(2)).then_some(())).await;
-        until(async || (incarnation(&node, "joint2").await == Some(2)).then_some(())).await;
-        let named = until(async || fault_of(&node, "chain/strategy/oil").await).await;
+        until(async || incarnation(&node, "joint1").await == Some(2), "it comes to be").await;
+        until(async || incarnation(&node, "joint2").await == Some(2), "it comes to be").await;
+        let named =
+            found(async || fault_of(&node, "chain/strategy/oil").await, "it comes to be").await;
         assert_eq!((named.0, named.2), (FaultKind::CheckFailed, false), "{}", named.1);
         assert!(named.1.contains("oil") && named.1.contains("200ms"), "{}", named.1);
         assert_eq!(node.abandoned_threads(), 1);
@@ -171,10 +160,14 @@ fn a_strategy_that_blocks_is_named_and_the_fault_chain_goes_on_without_it() {
         );
 
         drop(hold);
-        until(async || fault_of(&node, "chain/strategy/oil").await.filter(|fault| fault.2)).await;
+        found(
+            async || fault_of(&node, "chain/strategy/oil").await.filter(|fault| fault.2),
+            "it comes to be",
+        )
+        .await;
         assert_eq!(node.abandoned_threads(), 0);
         leak(&node, "joint1").await;
-        until(async || (incarnation(&node, "joint1").await == Some(3)).then_some(())).await;
+        until(async || incarnation(&node, "joint1").await == Some(3), "it comes to be").await;
         node.shutdown().await;
     });
 }
@@ -186,10 +179,10 @@ impl RecoveryStrategy for Rusty {
     async fn carry_out(
         &self,
         order: &RecoveryOrder,
-        tools: &StrategyContext,
+        context: &StrategyContext,
     ) -> Result<RecoveryDone, RecoveryFailed> {
         let _ = self.0.lock().unwrap_or_else(PoisonError::into_inner).recv();
-        tools.restart(&order.fault).await
+        context.restart(&order.fault).await
     }
 }
 
@@ -206,11 +199,12 @@ fn a_strategy_that_blocks_again_and_again_is_not_called_any_more_and_the_node_go
 
         leak(&node, "joint1").await;
 
-        until(async || (incarnation(&node, "joint1").await == Some(2)).then_some(())).await;
+        until(async || incarnation(&node, "joint1").await == Some(2), "it comes to be").await;
         assert_eq!(node.abandoned_threads(), 4, "two more attempts were refused a thread");
         assert_eq!(node.state(), NodeState::Running);
         assert_eq!(incarnation(&node, "joint2").await, Some(1));
-        let named = until(async || fault_of(&node, "chain/strategy/rusty").await).await;
+        let named =
+            found(async || fault_of(&node, "chain/strategy/rusty").await, "it comes to be").await;
         assert_eq!((named.0, named.2), (FaultKind::CheckFailed, false), "{}", named.1);
         drop(hold);
         node.shutdown().await;
@@ -263,7 +257,7 @@ fn strategies_that_block_or_fail_hold_up_no_other_strategy() {
         leak(&node, "joint1").await;
         node.sender::<Grind>("joint2").unwrap().ask(Grind).await.unwrap();
 
-        until(async || (incarnation(&node, "joint2").await == Some(2)).then_some(())).await;
+        until(async || incarnation(&node, "joint2").await == Some(2), "it comes to be").await;
 
         let mut decided = Vec::new();
         while decided.len() < 5 {
@@ -277,7 +271,7 @@ fn strategies_that_block_or_fail_hold_up_no_other_strategy() {
         assert_eq!(decided, expected);
         assert_eq!(incarnation(&node, "joint1").await, Some(1), "its strategy still blocks");
         drop(hold);
-        until(async || (incarnation(&node, "joint1").await == Some(2)).then_some(())).await;
+        until(async || incarnation(&node, "joint1").await == Some(2), "it comes to be").await;
         node.shutdown().await;
     });
 }
@@ -296,10 +290,10 @@ fn a_node_is_shut_down_while_its_strategies_and_safe_outputs_block() {
 
         leak(&node, "joint1").await;
 
-        let named = until(async || fault_of(&node, "safe-outputs").await).await;
+        let named = found(async || fault_of(&node, "safe-outputs").await, "it comes to be").await;
         assert_eq!((named.0, named.2), (FaultKind::CheckFailed, false), "{}", named.1);
         let rests = async || node.sender::<Ask>("joint1").unwrap().ask(Ask).await.is_err();
-        until(async || rests().await.then_some(())).await;
+        until(async || rests().await, "it comes to be").await;
         assert_eq!(incarnation(&node, "joint2").await, Some(1));
         assert_eq!(node.abandoned_threads(), 2);
         tokio::time::timeout(PATIENCE, node.shutdown()).await.expect("it ends");
@@ -327,7 +321,7 @@ fn a_node_whose_safe_outputs_block_restarts_nothing_more_and_comes_to_rest() {
         let state =
             tokio::time::timeout(PATIENCE, node.ended()).await.expect("it enters the safe state");
         assert!(matches!(state, NodeState::InSafeState { .. }), "{state:?}");
-        until(async || fault_of(&node, "safe-outputs").await).await;
+        found(async || fault_of(&node, "safe-outputs").await, "it comes to be").await;
         drop(hold);
         node.shutdown().await;
         drop(node);
@@ -381,7 +375,7 @@ fn a_cut_off_that_blocks_is_a_fault_of_its_component_and_keeps_the_actuator_from
         commander.claim().await.unwrap();
         commander.release().await.unwrap();
 
-        let named = until(async || fault_of(&node, "gripper").await).await;
+        let named = found(async || fault_of(&node, "gripper").await, "it comes to be").await;
 
         assert_eq!(named.0, FaultKind::CheckFailed);
         assert!(named.1.contains("cut-off"), "{}", named.1);

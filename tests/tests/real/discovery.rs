@@ -1,8 +1,8 @@
 //! Nodes that find each other without being described to each other, on real sockets.
 
 use blastema::prelude::*;
-use blastema::{Network, NodeBuilder};
-use blastema_tests::{PATIENCE, free_addresses, serves};
+use blastema::{Fault, Network, NodeBuilder};
+use blastema_tests::{PATIENCE, free_addresses, next_fault, serves};
 use std::net::{SocketAddr, UdpSocket};
 use std::sync::mpsc::{self, RecvTimeoutError, channel};
 use std::time::Duration;
@@ -66,15 +66,8 @@ fn a_flood_of_forged_beacons_is_a_fault_and_harms_nobody() {
 
         let mut faults = one.fault_events();
         let liar = Liar::start(group);
-        let named = async {
-            while let Some(event) = faults.next().await {
-                if event.fault.location.to_string() == "module1:net/discovery" {
-                    return event.fault;
-                }
-            }
-            panic!("the node has ended");
-        };
-        let fault = tokio::time::timeout(PATIENCE, named).await.expect("it is named");
+        let is_here = |fault: &Fault| fault.location.to_string() == "module1:net/discovery";
+        let fault = next_fault(&mut faults, is_here, "it is named").await;
         drop(liar);
         assert_eq!(fault.kind, FaultKind::CheckFailed);
         assert!(fault.detail.contains("by beacons"), "{}", fault.detail);

@@ -5,7 +5,7 @@
 
 use blastema::prelude::*;
 use blastema::{Link, Network, Outcome, Publisher};
-use blastema_tests::{Process, RobotKeys, addresses, free_addresses, role};
+use blastema_tests::{Process, RobotKeys, addresses, burn, free_addresses, role, until};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{File, OpenOptions};
 use std::io::Write;
@@ -56,10 +56,7 @@ impl Handle<Enter> for Ledger {
         self.write('a', number);
         if number.is_multiple_of(16) {
             // Some keep their thread for a while.
-            let end = std::time::Instant::now() + Duration::from_millis(2);
-            while std::time::Instant::now() < end {
-                std::hint::spin_loop();
-            }
+            burn(Duration::from_millis(2));
         }
         number
     }
@@ -193,12 +190,8 @@ async fn storm(scheme: &'static str, lasting: Duration) {
     while std::time::Instant::now() < end {
         // Each life answers some, so that the storm tries what it is to try.
         let some = books.answered.load(Relaxed) + 1 + chance(&mut state, 200);
-        let is_served = async {
-            while books.answered.load(Relaxed) < some {
-                sleep(Duration::from_millis(1)).await;
-            }
-        };
-        tokio::time::timeout(PATIENCE, is_served).await.expect("the node is back each time");
+        let is_served = async || books.answered.load(Relaxed) >= some;
+        until(is_served, "the node is back each time").await;
         match chance(&mut state, 3) {
             0 => {
                 right.signal("-STOP");
@@ -220,12 +213,8 @@ async fn storm(scheme: &'static str, lasting: Duration) {
     assert!(kills > 0 && answered > 0, "{kills} kills, {answered} answers");
     // What is under way comes to its end.
     let last = node.sender::<Enter>("right:ledger").expect("a name");
-    let is_served = async {
-        while last.ask_within(Enter(books.number()), PATIENCE).await.is_err() {
-            sleep(Duration::from_millis(5)).await;
-        }
-    };
-    tokio::time::timeout(PATIENCE, is_served).await.expect("the node is back");
+    let is_served = async || last.ask_within(Enter(books.number()), PATIENCE).await.is_ok();
+    until(is_served, "the node is back").await;
     node.shutdown().await;
     right.kill();
 

@@ -3,7 +3,7 @@
 use blastema::prelude::*;
 use blastema::{Link, Network};
 use blastema_ptys::{Adapters, Cable};
-use blastema_tests::{PATIENCE, found, free_addresses, serves, until};
+use blastema_tests::{PATIENCE, found, free_addresses, next_fault, serves, until};
 use std::net::{TcpListener, UdpSocket};
 use std::path::Path;
 use std::time::Duration;
@@ -212,15 +212,7 @@ fn a_serial_cable_that_is_pulled_and_plugged_in_again_carries_on() {
 
 /// The next fault of a link.
 async fn link_fault(faults: &mut blastema::FaultEvents) -> blastema::Fault {
-    let found = async {
-        loop {
-            let event = faults.next().await.expect("the node lives");
-            if event.fault.kind == FaultKind::LinkDown {
-                return event.fault;
-            }
-        }
-    };
-    tokio::time::timeout(PATIENCE, found).await.expect("a link fails")
+    next_fault(faults, |fault| fault.kind == FaultKind::LinkDown, "a link fails").await
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use blastema::prelude::*;
 use blastema::{Link, LinkState, Network, NodeBuilder, NodeState};
-use blastema_tests::{Process, addresses, answers, free_addresses, role};
+use blastema_tests::{Process, addresses, answers, free_addresses, role, until};
 use std::net::SocketAddr;
 use std::time::Duration;
 use tokio::sync::watch;
@@ -69,18 +69,13 @@ fn a_dozen_processes_are_all_connected_and_none_takes_another_for_lost() {
         // One after the other: the last is asked after all have met all for a while.
         for number in 1..NODES {
             let witness = node.sender::<Standing>(&format!("module{number}:witness")).unwrap();
-            let met = async {
-                loop {
-                    // A component of a node in safe state answers nothing.
-                    let (up, lost) = witness.ask_within(Standing, PATIENCE).await.expect("a reply");
-                    assert_eq!(lost, 0, "module{number} took a node for lost");
-                    if up == all {
-                        return;
-                    }
-                    blastema::sleep(Duration::from_millis(20)).await;
-                }
+            let met = async || {
+                // A component of a node in safe state answers nothing.
+                let (up, lost) = witness.ask_within(Standing, PATIENCE).await.expect("a reply");
+                assert_eq!(lost, 0, "module{number} took a node for lost");
+                up == all
             };
-            tokio::time::timeout(PATIENCE, met).await.expect("all links come up");
+            until(met, "all links come up").await;
         }
 
         let (_, lost) = standing(&node).await;

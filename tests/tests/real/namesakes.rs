@@ -7,7 +7,8 @@
 use blastema::prelude::*;
 use blastema::{Fault, FaultEvents, LinkState, Network, NodeBuilder};
 use blastema_tests::{
-    PATIENCE, Part, Process, RobotKeys, addresses, found, free_addresses, role, serves, until,
+    PATIENCE, Part, Process, RobotKeys, addresses, found, free_addresses, next_fault, role, serves,
+    until,
 };
 use std::fs::File;
 use std::net::SocketAddr;
@@ -44,15 +45,7 @@ async fn start_arm(own: SocketAddr, beside: (&str, SocketAddr), sum: u32) -> Nod
 }
 
 async fn taken(mut faults: FaultEvents) -> Fault {
-    let found = async {
-        while let Some(event) = faults.next().await {
-            if event.fault.kind == FaultKind::NameTaken {
-                return event.fault;
-            }
-        }
-        panic!("the node has ended");
-    };
-    tokio::time::timeout(PATIENCE, found).await.expect("the fault is found")
+    next_fault(&mut faults, |fault| fault.kind == FaultKind::NameTaken, "the fault is found").await
 }
 
 /// Asks this sender until there is an answer.
@@ -93,7 +86,7 @@ fn a_second_node_of_a_name_stops_and_the_first_ones_traffic_is_unharmed() {
             add().await;
         }
 
-        assert_eq!(of_far.location.to_string(), "head:net/router");
+        assert_eq!(of_far.location.to_string(), "head:net/stack");
         let parts = [
             format!("has come up at {other}"),
             "reached at an address that is not known".to_owned(),

@@ -16,8 +16,8 @@ fn threads() -> usize {
 
 /// Waits for threads that have been told to end; says how many are left.
 async fn settled(at_most: usize) -> usize {
-    let patience = Instant::now() + Duration::from_secs(30);
-    while threads() > at_most && Instant::now() < patience {
+    let deadline = Instant::now() + Duration::from_secs(30);
+    while threads() > at_most && Instant::now() < deadline {
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
     threads()
@@ -25,9 +25,9 @@ async fn settled(at_most: usize) -> usize {
 
 /// Waits until no socket of this process has the address.
 async fn freed(at: SocketAddr) {
-    let patience = Instant::now() + Duration::from_secs(30);
+    let deadline = Instant::now() + Duration::from_secs(30);
     while let Err(error) = UdpSocket::bind(at) {
-        assert!(Instant::now() < patience, "{at}: {error}");
+        assert!(Instant::now() < deadline, "{at}: {error}");
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
 }

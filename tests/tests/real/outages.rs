@@ -37,7 +37,7 @@ struct Tick(u64);
 #[contract(name = "outage/ticks", reply = u64)]
 struct Ticks;
 
-/// Counts ticks.
+/// Counts the ticks that arrive at this node.
 #[derive(Default)]
 struct Clock(u64);
 

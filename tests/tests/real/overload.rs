@@ -6,12 +6,12 @@ use blastema::core::recovery::{Ladder, Plan, RecoveryAction};
 use blastema::prelude::*;
 use blastema::{Incarnation, NodeBuilder};
 use blastema_testkit::TestNode;
-use blastema_tests::{MS, Part, accepts, serves};
+use blastema_tests::{MS, Part, accepts, serves, until};
 use rustix::time::{ClockId, clock_gettime};
 use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::atomic::{AtomicBool, AtomicU64};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// As long as anything here may take on a busy machine.
 const LONG: Duration = Duration::from_secs(60);
@@ -98,19 +98,7 @@ async fn await_overload(node: &Node, name: &str) {
     let location = format!("m:{name}");
     let is_overload =
         |entry: &FaultEntry| is_of(entry, &FaultKind::Overload, &location) || is_computers(entry);
-    until("an overload", node, |record| record.entries.iter().any(is_overload)).await;
-}
-
-async fn until(what: &str, node: &Node, mut holds: impl FnMut(&FaultRecord) -> bool) {
-    let begun = Instant::now();
-    loop {
-        let record = node.faults().await;
-        if holds(&record) {
-            return;
-        }
-        assert!(begun.elapsed() < LONG, "{what}: never; {record:#?}");
-        tokio::time::sleep(20 * MS).await;
-    }
+    until(async || node.faults().await.entries.iter().any(is_overload), "an overload").await;
 }
 
 fn is_of(entry: &FaultEntry, kind: &FaultKind, location: &str) -> bool {
@@ -152,8 +140,8 @@ fn who_keeps_a_thread_is_the_root_of_an_overload_and_its_neighbour_is_not_restar
         assert!(planners.all(|entry| entry.fault.detail.contains("it keeps its thread for")));
         assert!(node.row("safety").await.missed_rounds > 0);
         counts.load.store(false, SeqCst);
-        let none_stands = |record: &FaultRecord| record.entries.iter().all(|e| !e.stands());
-        until("the load is gone, and so are the faults", &node, none_stands).await;
+        let none_stands = async || node.faults().await.entries.iter().all(|e| !e.stands());
+        until(none_stands, "the load is gone, and so are the faults").await;
         assert!(has_one_root(&node.faults().await));
         for name in ["planner", "safety"] {
             assert_eq!(node.row(name).await.incarnation, Incarnation(1), "{name}");
@@ -181,10 +169,8 @@ fn a_planner_that_was_moved_to_its_own_thread_lets_its_neighbour_keep_its_rounds
 
         assert_eq!(node.row("planner").await.incarnation, Incarnation(2));
         assert_eq!(node.row("safety").await.incarnation, Incarnation(1));
-        until("a neighbour has its rounds while plans are made", &node, |_| {
-            counts.beside.load(SeqCst) > 10
-        })
-        .await;
+        let has_rounds = async || counts.beside.load(SeqCst) > 10;
+        until(has_rounds, "a neighbour has its rounds while plans are made").await;
         counts.load.store(false, SeqCst);
         node.shutdown().await;
     });
@@ -241,36 +227,12 @@ fn timers_that_cannot_be_kept_are_run_as_often_as_can_be_and_are_an_overload() {
         assert!(node.row("clockwork").await.missed_rounds > 0);
         let count = || (counts.planned.load(SeqCst), counts.rounds.load(SeqCst));
         let (called, rounds) = count();
-        until("it goes on", &node, |_| count().0 >= called + 20_000).await;
+        until(async || count().0 >= called + 20_000, "it goes on").await;
         let (called, rounds) = (count().0 - called, count().1 - rounds);
         // A thousand in each interval of the safety component, if both share the thread alone.
         assert!(called >= 200 * rounds && rounds > 0, "{called} calls, {rounds} rounds");
         assert!(called <= 2000 * rounds, "{called} calls, {rounds} rounds");
         assert_eq!(node.row("clockwork").await.incarnation, Incarnation(1));
-        node.shutdown().await;
-    });
-}
-
-#[test]
-fn a_flooded_component_that_is_asked_is_alive() {
-    let Some(_turn) = blastema_doubles::turn_if_long() else { return };
-    blastema::run(async {
-        let counts = Arc::<Counts>::default();
-        let watch = Liveness::pull(100 * MS, 100 * MS);
-        let planner = counts.planner().queue(100, WhenFull::Refuse).liveness(watch);
-        let node = start(Node::builder("m").work_threads(1).child(planner)).await;
-
-        let sender = node.sender::<Plan30>("planner").expect("a planner");
-        (0..100).for_each(|_| sender.tell(Plan30).expect("there is room"));
-        until("all are served", &node, |_| counts.planned.load(SeqCst) == 100).await;
-
-        let record = node.faults().await;
-        let overload = |entry: &FaultEntry| {
-            is_of(entry, &FaultKind::Overload, "m:planner") || is_computers(entry)
-        };
-        assert!(record.entries.iter().all(overload), "{record:#?}");
-        assert!(!record.entries.is_empty(), "its messages waited for three seconds");
-        assert_eq!(node.row("planner").await.incarnation, Incarnation(1));
         node.shutdown().await;
     });
 }
@@ -287,10 +249,7 @@ fn a_declared_long_operation_is_no_hang_though_a_short_one_ended_within_it() {
             let _long = cx.long_operation(LONG);
             drop(cx.long_operation(MS));
             // It needs no processor, only the thread.
-            let end = Instant::now() + 250 * MS;
-            while Instant::now() < end {
-                std::hint::spin_loop();
-            }
+            blastema_tests::burn(250 * MS);
         });
         let camera = camera.max_block(60 * MS);
         let node = start(Node::builder("m").work_threads(1).child(camera)).await;

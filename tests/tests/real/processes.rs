@@ -8,7 +8,7 @@ use blastema::{
     ActuatorSpec, Hold, Link, Network, RestoreDecision, RestorePolicy, Role, ServiceSpec,
     StandbyKind, Stateful, Transaction,
 };
-use blastema_tests::{Process, addresses, answers, free_addresses, moves, role};
+use blastema_tests::{Process, addresses, answers, found, free_addresses, moves, role, until};
 use std::net::SocketAddr;
 use std::time::Duration;
 
@@ -69,16 +69,13 @@ fn a_node_that_is_killed_and_started_over_and_over_is_one_fault_that_stands() {
         };
         for restarts in 0..5 {
             let mut process = start("bystander", &addresses);
-            let seen = async {
-                let location =
-                    blastema::FaultLocation::Node(blastema::NodeName::new("module1").unwrap());
-                while !node.table().await.iter().any(|row| {
-                    row.location == location && row.restarts == restarts && row.incarnation.0 > 0
-                }) {
-                    sleep(Duration::from_millis(5)).await;
-                }
+            let seen = async || {
+                node.table().await.iter().any(|row| {
+                    let here = row.location.to_string() == "module1";
+                    here && row.restarts == restarts && row.incarnation.0 > 0
+                })
             };
-            tokio::time::timeout(PATIENCE, seen).await.expect("it is seen each time");
+            until(seen, "it is seen each time").await;
             process.kill();
         }
 
@@ -235,56 +232,6 @@ fn a_service_goes_on_counting_when_the_processes_that_serve_it_are_killed() {
     });
 }
 
-#[test]
-fn a_standby_that_was_killed_has_everything_when_it_is_back_and_takes_over() {
-    let Some(_turn) = blastema_doubles::turn_if_long() else { return };
-    let addresses = free_addresses(4);
-    let start = |number: usize| start(&format!("carrier{number}"), &addresses);
-    let mut carriers = [start(1), start(2), start(3)];
-
-    blastema::run(async {
-        let node = Node::builder("module0").network(ethernet(&addresses, 0)).start().await.unwrap();
-        let counter = node.service::<Add>("counter").unwrap();
-        let ready = async |number: usize| {
-            let witness: Sender<Ready> = node.sender(&format!("module{number}:witness")).unwrap();
-            while !witness.ask(Ready).await.unwrap_or(false) {
-                tokio::task::yield_now().await;
-            }
-        };
-        let mut sum = 0;
-        for _ in 0..2 {
-            for _ in 0..20 {
-                sum += 1;
-                assert_eq!(counter.ask_within(Add, PATIENCE).await, Ok(sum));
-            }
-            let serving = primary(&counter).await;
-            let standby = serving % 3 + 1;
-            carriers[standby - 1].kill();
-            sum += 1;
-            assert_eq!(counter.ask_within(Add, PATIENCE).await, Ok(sum), "without the standby");
-            carriers[standby - 1] = start(standby);
-            ready(standby).await;
-
-            // The other one is gone: only the killed one had the whole state.
-            let other = 6 - serving - standby;
-            carriers[other - 1].kill();
-            carriers[other - 1] = start(other);
-            let asking = counter.clone();
-            let asked =
-                tokio::task::spawn_local(async move { asking.ask_within(Add, PATIENCE).await });
-            tokio::task::yield_now().await;
-            carriers[serving - 1].kill();
-            sum += 1;
-            assert_eq!(asked.await.unwrap(), Ok(sum), "across both kills");
-            carriers[serving - 1] = start(serving);
-            for number in 1..=3 {
-                ready(number).await;
-            }
-        }
-        node.shutdown().await;
-    });
-}
-
 /// The number of the node that serves.
 async fn primary(counter: &blastema::ServiceRef<Add>) -> usize {
     loop {
@@ -379,12 +326,7 @@ fn values_that_were_written_are_there_after_the_process_was_killed_in_the_middle
             };
             for _ in 0..=round {
                 // Whatever became of an attempt, the next one writes the same.
-                let written = async {
-                    while write(acknowledged + 1).await.is_err() {
-                        tokio::task::yield_now().await;
-                    }
-                };
-                tokio::time::timeout(PATIENCE, written).await.expect("the keeper lives");
+                until(async || write(acknowledged + 1).await.is_ok(), "the keeper lives").await;
                 acknowledged += 1;
             }
             // Killed while one more is under way, at another moment each time.
@@ -427,17 +369,12 @@ fn a_file_of_variables_that_is_damaged_is_set_aside_and_a_fault() {
         let node = books(1, &addresses, &file).start().await.unwrap();
         let income = node.variable::<Income>("books").unwrap();
         assert_eq!(income.read().await.unwrap().value, Income(0), "not what may be wrong");
-        let told = async {
-            loop {
-                let record = node.faults().await;
-                let mut details = record.entries.iter().map(|entry| entry.fault.detail.to_string());
-                if let Some(detail) = details.find(|detail| detail.contains("set aside")) {
-                    break detail;
-                }
-                tokio::task::yield_now().await;
-            }
+        let told = async || {
+            let mut entries = node.faults().await.entries.into_iter();
+            let told = entries.find(|entry| entry.fault.detail.contains("set aside"))?;
+            Some(told.fault.detail)
         };
-        let detail = tokio::time::timeout(PATIENCE, told).await.expect("the fault list tells");
+        let detail = found(told, "the fault list tells").await;
         assert!(detail.contains("checksum"), "{detail}");
         assert!(folder.path().join("variables.damaged").exists());
         income.write(Income(6)).await.unwrap();

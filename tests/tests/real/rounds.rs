@@ -6,7 +6,7 @@ use blastema::core::detection::FaultEntry;
 use blastema::prelude::*;
 use blastema::{Incarnation, NodeBuilder};
 use blastema_testkit::TestNode;
-use blastema_tests::{MS, until};
+use blastema_tests::{MS, burn, until};
 use std::num::NonZero;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::atomic::{AtomicBool, AtomicU64};
@@ -120,13 +120,6 @@ fn a_loop_that_had_its_processor_is_not_blamed() {
     });
 }
 
-fn spin(span: Duration) {
-    let begun = Instant::now();
-    while begun.elapsed() < span {
-        std::hint::spin_loop();
-    }
-}
-
 /// The rounds of a loop that has ended, how many it missed, and how late they began at most. All of
 /// them are the periods between the first and the last, as far as the lateness of these two, and of
 /// the clock's reading in them, leaves that open.
@@ -157,7 +150,7 @@ fn rounds_and_those_that_overruns_miss_are_exactly_the_periods_that_have_passed(
         let act: Act = |_, round| match round % 8 {
             // It keeps its thread, or awaits something, until the second period after its own.
             2 => {
-                spin(PERIOD * 11 / 5);
+                burn(PERIOD * 11 / 5);
                 Then::Return
             }
             6 => Then::Await(PERIOD * 11 / 5),
@@ -213,7 +206,7 @@ fn a_loop_that_is_restarted_has_rounds_from_then_on_and_has_missed_none_before()
         let record = Arc::<LoopRecord>::default();
         let panics: Act = |start, round| match (start, round) {
             (1, 5) => {
-                spin(100 * MS);
+                burn(100 * MS);
                 Then::Return
             }
             (1, 10) => panic!("the motors tripped"),

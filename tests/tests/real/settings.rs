@@ -132,7 +132,7 @@ fn names_are_given_once_also_those_of_supervisors_and_of_the_middleware() {
             &["leases is taken by an object of the middleware", same],
         )
         .await;
-        for reserved in ["net/directory", "net/gateway", "chain/of/my/own"] {
+        for reserved in ["net/directory", "net/stack", "chain/of/my/own"] {
             let error = node().child(called(reserved)).start().await.unwrap_err();
             assert!(matches!(error, StartError::Spec(SpecError::Reserved { .. })), "{error}");
             let error = node().supervisor(group(reserved)).start().await.unwrap_err();

@@ -4,7 +4,7 @@
 use blastema::prelude::*;
 use blastema::{Link, LinkState, Network, NodeBuilder};
 use blastema_tests::{
-    MS, Notes, Process, accepts, addresses, answers, found, free_addresses, role,
+    MS, Notes, Process, accepts, addresses, answers, burn, found, free_addresses, role, until,
 };
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -102,12 +102,9 @@ fn blames_itself_after(span: Duration, media: &'static [&'static str]) {
 
         let suffered = async {
             loop {
-                let all_up = async {
-                    while node.links().await.iter().any(|row| row.state != LinkState::Up) {
-                        sleep(10 * MS).await;
-                    }
-                };
-                all_up.await;
+                let is_up =
+                    async || node.links().await.iter().all(|row| row.state == LinkState::Up);
+                until(is_up, "all links are up").await;
                 process.signal("-STOP");
                 sleep(span).await;
                 process.signal("-CONT");
@@ -186,10 +183,7 @@ async fn receive_work() {
     let quick = dead.clone();
     // It needs 10, 20 or 30 ms for each message.
     let slow = accepts("slow", done.clone(), |done, work: Work, _| {
-        let end = Instant::now() + MS * (10 * (1 + work.number % 3));
-        while Instant::now() < end {
-            std::hint::spin_loop();
-        }
+        burn(MS * (10 * (1 + work.number % 3)));
         done.note((work.sender, work.number));
     });
     let node = module(1, &addresses())

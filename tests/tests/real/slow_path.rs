@@ -10,7 +10,9 @@
 #![allow(clippy::print_stderr, reason = "a trial shows what it has measured")]
 
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, Blob, Hold, Network, ServiceSpec, StandbyKind, Stateful};
+use blastema::{
+    ActuatorSpec, Blob, Hold, Network, NodeBuilder, ServiceSpec, StandbyKind, Stateful,
+};
 use blastema_tests::{MS, Notes, Part, RobotKeys, free_addresses, moves, until};
 use std::collections::VecDeque;
 use std::io::{self, Read, Write};
@@ -261,6 +263,28 @@ fn pixels() -> Blob {
     vec![7; IMAGE].into()
 }
 
+/// Commands wheels until then: how often, and how long the longest command took.
+async fn drive(node: &Node, wheels: &str, ends: Instant) -> (u32, Duration) {
+    let stick = node.commander::<Drive>(wheels, "stick").expect("a name");
+    stick.claim().await.expect("the wheels are free");
+    let (mut driven, mut longest) = (0, Duration::ZERO);
+    while Instant::now() < ends {
+        let asked = Instant::now();
+        // Within the lease, or it is lost.
+        let speed = stick.command(Drive(1.0)).await.expect("commands pass what is large");
+        assert_eq!(speed, 1.0);
+        longest = longest.max(asked.elapsed());
+        driven += 1;
+        tokio::time::sleep(20 * MS).await;
+    }
+    (driven, longest)
+}
+
+/// A node with the key of its name, on this network.
+fn sealed(own: &str, keys: &RobotKeys, network: Network) -> NodeBuilder {
+    Node::builder(own).keys(keys.of(own)).network(network)
+}
+
 /// Sends images one way and, as fast as they are taken, maps the other, and commands beside them.
 fn beside_images(
     film: Film,
@@ -284,28 +308,19 @@ fn beside_images(
                 let fast = |name, at: SocketAddr, peer, to: SocketAddr| {
                     medium(name, at).peer(peer, &to.to_string())
                 };
-                let relay = Node::builder("relay")
-                    .keys(keys.of("relay"))
-                    .network(fast("net1", relay_at, "robot", fast_at))
-                    .network(near)
-                    .start()
-                    .await
-                    .expect("it starts");
+                let relay = sealed("relay", &keys, fast("net1", relay_at, "robot", fast_at));
+                let relay = relay.network(near).start().await.expect("it starts");
                 let robot = fast("net1", fast_at, "relay", relay_at);
                 (robot, far.peer("relay", &wire.ends[1].to_string()), Some(relay))
             }
         };
-        let robot = Node::builder("robot")
-            .keys(keys.of("robot"))
-            .network(near)
+        let robot = sealed("robot", &keys, near)
             .child(wheels("wheels"))
             .child(ChildSpec::new("screen", || Screen(Notes::default())))
             .start()
             .await
             .expect("it starts");
-        let desk = Node::builder("desk")
-            .keys(keys.of("desk"))
-            .network(far)
+        let desk = sealed("desk", &keys, far)
             .child(ChildSpec::new("screen", move || Screen(shown.clone())))
             .start()
             .await
@@ -341,27 +356,12 @@ fn beside_images(
             }
             shown
         };
-        let drive = async {
-            let stick = desk.commander::<Drive>("robot:wheels", "stick").expect("a name");
-            stick.claim().await.expect("the wheels are free");
-            let (mut driven, mut longest) = (0, Duration::ZERO);
-            while Instant::now() < ends {
-                let asked = Instant::now();
-                // Within the lease, or it is lost.
-                let speed = stick.command(Drive(1.0)).await.expect("commands pass what is large");
-                assert_eq!(speed, 1.0);
-                longest = longest.max(asked.elapsed());
-                driven += 1;
-                tokio::time::sleep(20 * MS).await;
-            }
-            (driven, longest)
-        };
         // A relay has maps of its own, in another session over the same wire.
         let (taken, shown, beside, (driven, longest)) = tokio::join!(
             camera,
             maps(Some(&desk), "robot:screen"),
             maps(relay.as_ref(), "desk:screen"),
-            drive
+            drive(&desk, "robot:wheels", ends)
         );
 
         let has_come = async || seen.lock().last() == Some(&(taken - 1));
@@ -465,17 +465,15 @@ fn beside_the_state_of_a_service(
             let atlas = ServiceSpec::new("atlas", ["robot", "desk"], begin);
             atlas.standby(StandbyKind::Warm).heartbeat_every(300 * MS)
         };
-        let robot = Node::builder("robot")
-            .keys(keys.of("robot"))
-            .network(medium("net0", robot_at).peer("desk", &wire.ends[0].to_string()))
+        let near = medium("net0", robot_at).peer("desk", &wire.ends[0].to_string());
+        let far = medium("net0", desk_at).peer("robot", &wire.ends[1].to_string());
+        let robot = sealed("robot", &keys, near)
             .child(wheels("wheels"))
             .service(atlas())
             .start()
             .await
             .expect("it starts");
-        let desk = Node::builder("desk")
-            .keys(keys.of("desk"))
-            .network(medium("net0", desk_at).peer("robot", &wire.ends[1].to_string()))
+        let desk = sealed("desk", &keys, far)
             .child(wheels("levers"))
             .service(atlas())
             .start()
@@ -494,21 +492,11 @@ fn beside_the_state_of_a_service(
             }
             painted
         };
-        let drive = async |node: &Node, wheels: &str| {
-            let stick = node.commander::<Drive>(wheels, "stick").expect("a name");
-            stick.claim().await.expect("the wheels are free");
-            let (mut driven, mut longest) = (0, Duration::ZERO);
-            while Instant::now() < ends {
-                let asked = Instant::now();
-                stick.command(Drive(1.0)).await.expect("commands pass what is large");
-                longest = longest.max(asked.elapsed());
-                driven += 1;
-                tokio::time::sleep(20 * MS).await;
-            }
-            (driven, longest)
-        };
-        let (painted, there, back) =
-            tokio::join!(paint, drive(&desk, "robot:wheels"), drive(&robot, "desk:levers"));
+        let (painted, there, back) = tokio::join!(
+            paint,
+            drive(&desk, "robot:wheels", ends),
+            drive(&robot, "desk:levers", ends)
+        );
 
         let totals = format!("{painted} states, commands {there:?} and {back:?}");
         eprintln!("{totals}");

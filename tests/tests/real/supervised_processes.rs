@@ -5,7 +5,7 @@ use blastema::{
     ComponentOrder, Fault, FaultEvents, FaultLocation, Lifecycle, MonitorRow, OrderVerb,
     ProcessSpec, launch_processes_by,
 };
-use blastema_tests::{PATIENCE, found, until};
+use blastema_tests::{found, next_fault, until};
 use std::fs::{self, Permissions};
 use std::io::{BufRead, BufReader, Read};
 use std::os::unix::fs::PermissionsExt;
@@ -67,15 +67,7 @@ async fn process(node: &Node, name: &str, incarnation: u64) -> String {
 
 /// Waits for the first fault at a place.
 async fn fault(events: &mut FaultEvents, location: &FaultLocation) -> Fault {
-    let found = async {
-        loop {
-            let event = events.next().await.expect("the node runs");
-            if event.fault.location == *location {
-                return event.fault;
-            }
-        }
-    };
-    tokio::time::timeout(PATIENCE, found).await.expect("it is found")
+    next_fault(events, |fault| fault.location == *location, "it is found").await
 }
 
 #[test]

@@ -1,15 +1,14 @@
 //! A leaf of a behaviour tree that keeps its thread.
 
+use blastema::Fault;
 use blastema::prelude::*;
 use blastema::trees::{BehaviorTree, Status, TreeLeaves};
+use blastema_tests::{next_fault, until};
 use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::mpsc::channel;
 use std::time::Duration;
-
-/// For everything that takes time on a busy computer.
-const PATIENCE: Duration = Duration::from_secs(60);
 
 #[test]
 fn a_leaf_that_does_not_return_is_named_by_its_path_and_its_tree_begins_again() {
@@ -34,22 +33,12 @@ fn a_leaf_that_does_not_return_is_named_by_its_path_and_its_tree_begins_again() 
         let tree = tree.max_block(Duration::from_millis(200));
         let builder = builder.grace(Duration::from_millis(100)).child(tree);
         let node = builder.start().await.expect("it starts");
-        let named = async {
-            while let Some(event) = faults.next().await {
-                if event.fault.kind == FaultKind::CheckFailed {
-                    return event.fault.detail;
-                }
-            }
-            panic!("the node has ended")
-        };
-        let detail = tokio::time::timeout(PATIENCE, named).await.expect("the leaf is named");
-        assert_eq!(detail, "leaf left/grip: it did not return, and kept the tree's thread");
-        let goes_on = async {
-            while node.snapshot().await.trees.iter().all(|row| row.type_name != "Sleep") {
-                blastema::sleep(Duration::from_millis(10)).await;
-            }
-        };
-        tokio::time::timeout(PATIENCE, goes_on).await.expect("the tree goes on");
+        let is_check = |fault: &Fault| fault.kind == FaultKind::CheckFailed;
+        let named = next_fault(&mut faults, is_check, "the leaf is named").await;
+        assert_eq!(named.detail, "leaf left/grip: it did not return, and kept the tree's thread");
+        let goes_on =
+            async || node.snapshot().await.trees.iter().any(|row| row.type_name == "Sleep");
+        until(goes_on, "the tree goes on").await;
         drop(release);
         node.shutdown().await;
     });

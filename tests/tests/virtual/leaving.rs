@@ -2,13 +2,12 @@
 
 use blastema::core::detection::{FaultRecord, Opinion};
 use blastema::prelude::*;
-use blastema::{Link, MemoryMedium, Network, NodeBuilder};
+use blastema::{MemoryMedium, NodeBuilder};
 use blastema_testkit::TestNode;
-use blastema_tests::{MS, Part, free_addresses, on_ethernet, serves, until};
-use std::net::SocketAddr;
+use blastema_tests::{MS, Part, next_fault, on_ethernet, serves};
 use std::time::Duration;
 
-/// For real nodes to find each other, or to be silent for long enough to be missed.
+/// For what does not wait.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// Adds to a sum, and answers it.
@@ -43,6 +42,7 @@ async fn a_node_that_leaves_in_order_is_no_fault_and_its_return_no_recovery() {
     assert_eq!(sum.ask(Add(1)).await.unwrap(), 1);
 
     there.shutdown().await;
+    assert!(there.faults().await.entries.is_empty(), "nor finds it any");
     drop(there);
     here.advance(5000 * MS).await;
 
@@ -139,11 +139,6 @@ async fn whoever_waits_for_room_elsewhere_is_told_when_its_own_node_ends() {
     );
 }
 
-async fn real(own: &str, at: SocketAddr, far: &str, remote: SocketAddr) -> Node {
-    let ethernet = Network::udp("ethernet", at).link(Link::new(far, remote));
-    Node::builder(own).network(ethernet).child(sum()).start().await.expect("it starts")
-}
-
 /// Declares a fault when it comes to work.
 struct Worn;
 
@@ -169,8 +164,7 @@ mod real {
                 .child(ChildSpec::new("worn", || Worn));
             let mut faults = builder.fault_events();
             let node = builder.start().await.expect("it starts");
-            let found = tokio::time::timeout(PATIENCE, faults.next()).await.expect("it is found");
-            assert_eq!(found.expect("the node runs").fault.kind, worn);
+            next_fault(&mut faults, |fault| fault.kind == worn, "it is found").await;
 
             node.shutdown().await;
 
@@ -179,30 +173,6 @@ mod real {
             };
             for time in ["once", "and as often as it is asked"] {
                 assert_eq!(kinds(node.faults().await), std::slice::from_ref(&worn), "{time}");
-            }
-        });
-    }
-
-    #[test]
-    fn real_nodes_that_leave_one_after_another_find_no_fault_in_each_other_or_in_themselves() {
-        let _turn = blastema_doubles::turn();
-        blastema::run(async {
-            let [near, far] = free_addresses(2).try_into().expect("two");
-            for first in [true, false] {
-                let here = real("here", near, "there", far).await;
-                let there = real("there", far, "here", near).await;
-                assert!(here.connected("there", PATIENCE).await);
-                assert!(there.connected("here", PATIENCE).await);
-                let (leaver, other) = if first { (here, there) } else { (there, here) };
-
-                leaver.shutdown().await;
-                until(async || other.routes().await.is_empty(), "its silence is noticed").await;
-                other.shutdown().await;
-
-                for node in [leaver, other] {
-                    let record = node.faults().await;
-                    assert!(record.entries.is_empty(), "{}: {record:?}", node.name());
-                }
             }
         });
     }

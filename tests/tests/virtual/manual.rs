@@ -39,7 +39,7 @@ fn the_list_of_faults_is_that_of_the_code_with_the_measures_of_the_default_plan(
         1 => step.action.to_string(),
         attempts => format!("{} ×{attempts}", step.action),
     };
-    for kind in &FaultKind::BUILT_IN {
+    for kind in FaultKind::built_in() {
         let row = row(&page, &format!("`{}`", kind.code()));
         let ladder = plan.answer(&node(), kind, &FaultLocation::Node(node()));
         let actions: Vec<String> = ladder.steps().iter().map(rung).collect();
@@ -98,7 +98,7 @@ fn the_limits_are_those_of_the_code() {
     );
 }
 
-/// Ends itself.
+/// Has the receiver end itself.
 #[derive(Debug, Request)]
 #[contract(reply = ())]
 struct End;

@@ -177,7 +177,7 @@ impl Adapter {
             let Some(LineEnd::Whole(line)) = self.lines.handle_byte(*byte) else { continue };
             match AdapterCommand::decode(&line) {
                 Ok(AdapterCommand::Send(frame)) if self.is_open => {
-                    frames.push(AdapterReply::Frame { frame, time_ms: None });
+                    frames.push(AdapterReply::Frame(frame));
                     self.answer(&AdapterReply::Sent);
                 }
                 Ok(AdapterCommand::Open) if !self.is_open => {

@@ -19,7 +19,7 @@ pub(super) const FD: usize = HEADER + FD_MAX;
 
 /// Marks identifiers of 29 bits.
 pub(super) const EXTENDED: u32 = 1 << 31;
-/// Marks requests.
+/// Marks remote frames, which ask for data.
 pub(super) const REMOTE: u32 = 1 << 30;
 /// Marks what the kernel says of the bus.
 const ERROR: u32 = 1 << 29;

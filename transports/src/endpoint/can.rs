@@ -56,7 +56,7 @@ pub struct CanConfig {
     /// The bus's bit rate, in bits a second. It sets nothing: it is what hellos are paced by, for
     /// an interface of the system does not say how fast it is.
     pub bitrate: u32,
-    /// Who we are there.
+    /// This node's address and limits on the bus.
     pub node: CanNodeConfig,
 }
 
@@ -73,9 +73,7 @@ impl CanConfig {
     }
 }
 
-/// The bit rates of a bus that the SLCAN protocol has a command for, in bits a second.
-pub const SLCAN_BIT_RATES: [u32; 9] =
-    [10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000];
+pub use blastema_core::medium::can::slcan::BIT_RATES_HZ as SLCAN_BIT_RATES;
 
 /// The bit rates for the payload of CAN FD frames that adapters have a command for, in bits a
 /// second.
@@ -99,7 +97,7 @@ pub struct SlcanConfig {
     pub data_bitrate: u32,
     /// The serial line's speed, in bits a second. Adapters on USB do not mind it.
     pub baud: u32,
-    /// Who we are on the bus.
+    /// This node's address and limits on the bus.
     pub node: CanNodeConfig,
 }
 

@@ -84,21 +84,21 @@ const TIMEOUT: RangeInclusive<Duration> = Duration::from_millis(1)..=Duration::f
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum Endpoint {
-    /// `udp://`
+    /// `udp://`: datagrams between sockets.
     #[cfg(feature = "udp")]
     Udp(UdpConfig),
-    /// `tcp://`
+    /// `tcp://`: one connection to each peer.
     #[cfg(feature = "tcp")]
     Tcp(TcpConfig),
-    /// `unix://`
+    /// `unix://`: Unix-domain sockets on one computer.
     #[cfg(feature = "unix")]
     Unix(UnixConfig),
-    /// `serial://`
+    /// `serial://`: a serial line.
     #[cfg(feature = "serial")]
     Serial(SerialConfig),
-    /// `can://`
+    /// `can://`: a CAN interface of the kernel.
     Can(CanConfig),
-    /// `slcan://`
+    /// `slcan://`: a CAN adapter on a serial line.
     Slcan(SlcanConfig),
     /// `memory://`: the name of our end.
     Memory(String),

@@ -24,10 +24,10 @@ pub enum Parity {
 /// How long the pause after each byte is on a serial line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum StopBits {
-    /// One bit.
+    /// One stop bit.
     #[default]
     One,
-    /// Two bits.
+    /// Two stop bits.
     Two,
 }
 

@@ -40,7 +40,6 @@ struct Trial {
 /// What the system still has of what was written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum DriverBacklog {
-    /// Nothing.
     Nothing,
     /// No more than a piece.
     Little,

@@ -23,7 +23,7 @@ pub use self::config::{DirectionControl, Parity, Rs485, SerialConfig, StopBits};
 use self::framing::{Deframer, encode, encoded_length};
 use self::line_pacer::{DriverBacklog, LinePacer, PIECE};
 use crate::frame_medium::{FrameMedium, MediumEvent, OpenedMedium, QueueLimits, SendResult};
-use crate::usb_device::is_usb_device;
+use crate::usb_device::{is_usb_device, unopened};
 use blastema_contract::transport::MediumAddress;
 use blastema_core::Instant;
 use bytes::Bytes;
@@ -35,7 +35,7 @@ use std::task::{Context, Poll, ready};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::Sleep;
-use tokio_serial::{ClearBuffer, DataBits, ErrorKind, FlowControl, SerialPort, SerialStream};
+use tokio_serial::{ClearBuffer, DataBits, FlowControl, SerialPort, SerialStream};
 
 /// A line that carries so many bytes in a second is not slow: hellos are nothing to it.
 const FAST: u64 = 1_000_000;
@@ -154,20 +154,7 @@ fn open_port(config: &SerialConfig) -> io::Result<SerialStream> {
     }
     // The lines DTR and RTS are left as the driver sets them: a pty has none, and many a device
     // takes a change of them for a reset.
-    SerialStream::open(&builder).map_err(|error| io::Error::other(explain(config, &error)))
-}
-
-fn explain(config: &SerialConfig, error: &tokio_serial::Error) -> String {
-    let there = config.path.exists();
-    let advice = match error.kind() {
-        ErrorKind::Io(io::ErrorKind::PermissionDenied) => {
-            "the system forbids it: let this user use the port, often by the group dialout"
-        }
-        _ if !there => "there is no such port: plug the device in, or check the path",
-        ErrorKind::NoDevice => "another program uses this port: end it, or choose another port",
-        _ => "check that it is a serial port, and that it can what is asked of it",
-    };
-    format!("{error}: {advice}")
+    SerialStream::open(&builder).map_err(|error| unopened(path, &error))
 }
 
 impl FrameMedium for SerialLine {

@@ -9,7 +9,7 @@
 
 use crate::can_node::{CanNode, CanPort};
 use crate::endpoint::SlcanConfig;
-use crate::usb_device::is_usb_device;
+use crate::usb_device::{is_usb_device, unopened};
 use blastema_core::Instant;
 use blastema_core::medium::can::slcan::{
     AdapterCommand, AdapterControl, AdapterReply, BitRate, DataRate, ReplyParser,
@@ -23,7 +23,7 @@ use std::task::{Context, Poll, ready};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::Sleep;
-use tokio_serial::{ErrorKind, SerialPort, SerialStream};
+use tokio_serial::{SerialPort, SerialStream};
 
 /// So many bytes are read at once: what the system holds of a terminal.
 const CHUNK: usize = 4096;
@@ -63,7 +63,7 @@ pub struct SlcanAdapter {
 /// A port that is open, and what is known of the adapter there.
 struct Line {
     port: SerialStream,
-    dialogue: AdapterControl,
+    control: AdapterControl,
     listener: ReplyParser,
     chunk: Vec<u8>,
     unread: VecDeque<u8>,
@@ -78,21 +78,6 @@ struct Line {
     look: Option<Pin<Box<Sleep>>>,
     /// When it is asked next how its bus is.
     question: Option<(Instant, Pin<Box<Sleep>>)>,
-}
-
-impl SlcanAdapter {
-    fn explain(&self, error: &tokio_serial::Error) -> io::Error {
-        let there = self.config.path.exists();
-        let advice = match error.kind() {
-            ErrorKind::Io(io::ErrorKind::PermissionDenied) => {
-                "the system forbids it: let this user use the port, often by the group dialout"
-            }
-            _ if !there => "there is no such port: plug the adapter in, or check the path",
-            ErrorKind::NoDevice => "another program uses this port: end it, or choose another port",
-            _ => "check that it is a serial port, and that it can what is asked of it",
-        };
-        io::Error::other(format!("{error}: {advice}"))
-    }
 }
 
 impl CanPort for SlcanAdapter {
@@ -123,10 +108,11 @@ impl CanPort for SlcanAdapter {
             }
         };
         let builder = tokio_serial::new(self.config.path.to_string_lossy(), self.config.baud);
-        let port = SerialStream::open(&builder).map_err(|error| self.explain(&error))?;
+        let port = SerialStream::open(&builder);
+        let port = port.map_err(|error| unopened(&self.config.path, &error))?;
         self.line = Some(Line {
             port,
-            dialogue: AdapterControl::new(rate, data_rate),
+            control: AdapterControl::new(rate, data_rate),
             listener: ReplyParser::default(),
             chunk: vec![0; CHUNK],
             unread: VecDeque::new(),
@@ -145,7 +131,7 @@ impl CanPort for SlcanAdapter {
         let Some(line) = &mut self.line else { return Poll::Ready(Err(unplugged())) };
         loop {
             // What others say on the bus before we are on it is not for us.
-            while line.hear()?.is_some() {}
+            while line.receive()?.is_some() {}
             if line.carry_on(task, now)? {
                 return Poll::Ready(Ok(()));
             }
@@ -162,7 +148,7 @@ impl CanPort for SlcanAdapter {
         let Some(line) = &mut self.line else { return Poll::Ready(Err(unplugged())) };
         ready!(line.poll_flush(task))?;
         ready!(line.poll_drained(task));
-        match line.dialogue.takes(now) {
+        match line.control.takes(now) {
             Ok(()) => {}
             Err(Some(then)) => {
                 ready!(line.poll_timer(task, then, now));
@@ -170,7 +156,7 @@ impl CanPort for SlcanAdapter {
             Err(None) => return Poll::Ready(Err(unplugged())),
         }
         line.say(&AdapterCommand::Send(*frame));
-        line.dialogue.handle_sent(frame, now);
+        line.control.handle_sent(frame, now);
         // The frame is taken: what the port has no room for now goes out before the next.
         match line.poll_flush(task) {
             Poll::Ready(Err(error)) => Poll::Ready(Err(error)),
@@ -190,7 +176,7 @@ impl CanPort for SlcanAdapter {
             flushed?;
         }
         loop {
-            if let Some(found) = line.hear()? {
+            if let Some(found) = line.receive()? {
                 return Poll::Ready(Ok(found));
             }
             ready!(line.poll_read(task))?;
@@ -201,7 +187,7 @@ impl CanPort for SlcanAdapter {
         let line = self.line.as_mut()?;
         let text =
             "no node on the CAN bus confirms our frames: check its wires, termination and bit rate";
-        line.dialogue.poll_trouble().then_some(text)
+        line.control.poll_trouble().then_some(text)
     }
 
     fn close(&mut self) {
@@ -264,28 +250,28 @@ impl Line {
     /// Says what brings the adapter onto the bus, and keeps the time of its answers. The answer is
     /// whether it is there.
     fn carry_on(&mut self, task: &mut Context<'_>, now: Instant) -> io::Result<bool> {
-        while !self.dialogue.is_open() {
-            if let Some(command) = self.dialogue.poll_command(now) {
+        while !self.control.is_open() {
+            if let Some(command) = self.control.poll_command(now) {
                 self.say(&command);
             }
             if let Poll::Ready(flushed) = self.poll_flush(task) {
                 flushed?;
             }
-            let due = self.dialogue.poll_timeout().unwrap_or(now);
+            let due = self.control.poll_timeout().unwrap_or(now);
             if self.poll_timer(task, due, now).is_pending() {
                 return Ok(false);
             }
-            self.dialogue.handle_timeout(due);
+            self.control.handle_timeout(due);
         }
         Ok(true)
     }
 
     /// Asks the adapter how its bus is, when that is due.
     fn ask(&mut self, task: &mut Context<'_>, now: Instant) {
-        if let Some(command) = self.dialogue.poll_command(now) {
+        if let Some(command) = self.control.poll_command(now) {
             self.say(&command);
         }
-        let Some(due) = self.dialogue.poll_timeout() else { return };
+        let Some(due) = self.control.poll_timeout() else { return };
         if self.question.as_ref().is_none_or(|(armed, _)| *armed != due) {
             self.question = Some((due, Box::pin(tokio::time::sleep(due - now))));
         }
@@ -298,17 +284,17 @@ impl Line {
     }
 
     /// Understands what was read: a frame, or something that is none; nothing when more must come.
-    fn hear(&mut self) -> io::Result<Option<Option<CanFrame>>> {
+    fn receive(&mut self) -> io::Result<Option<Option<CanFrame>>> {
         while let Some(byte) = self.unread.pop_front() {
             match self.listener.handle_byte(byte) {
-                Some(AdapterReply::Frame { frame, .. }) => return Ok(Some(Some(frame))),
-                Some(reply) => self.dialogue.handle_reply(&reply),
+                Some(AdapterReply::Frame(frame)) => return Ok(Some(Some(frame))),
+                Some(reply) => self.control.handle_reply(&reply),
                 None => {}
             }
-            if let Some(error) = self.dialogue.failure() {
+            if let Some(error) = self.control.failure() {
                 return Err(io::Error::other(error));
             }
-            let refused = self.listener.refused() + self.dialogue.refused();
+            let refused = self.listener.refused() + self.control.refused();
             if std::mem::replace(&mut self.refused, refused) != refused {
                 return Ok(Some(None));
             }

@@ -18,7 +18,7 @@ pub(super) struct Connection<S> {
 
 /// What came of reading once.
 pub(super) enum ReadStep {
-    /// A frame.
+    /// One whole frame.
     Frame(Bytes),
     /// A part of one.
     Part,
@@ -33,7 +33,7 @@ pub(super) enum ReadEnd {
     Done,
     /// The budget is used up: the rest is for the next turn.
     Budget,
-    /// The outlet is full. The task is woken when it is not.
+    /// The upstream is full. The task is woken when it is not.
     Full,
 }
 

@@ -48,9 +48,9 @@ pub enum FramingError {
     /// A frame larger than agreed is announced. Raise the limit on this side if it is wanted.
     #[error("a frame of {length} bytes is announced, the limit is {limit}")]
     TooLarge {
-        /// As announced.
+        /// The announced length, in bytes.
         length: usize,
-        /// As configured.
+        /// The configured limit, in bytes.
         limit: usize,
     },
 }

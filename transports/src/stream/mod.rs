@@ -73,8 +73,8 @@ macro_rules! stream_transport {
         crate::medium::transport!($transport);
 
         impl crate::medium::MediumActor for $transport {
-            fn outlet(&mut self) -> &mut crate::upstream::Upstream {
-                &mut self.0.outlet
+            fn upstream(&mut self) -> &mut crate::upstream::Upstream {
+                &mut self.0.upstream
             }
 
             fn open(&mut self, _: &mut actix::Context<Self>) {
@@ -116,9 +116,7 @@ pub(crate) use stream_transport;
 
 /// What makes streams.
 pub(crate) trait StreamFamily: 'static {
-    /// A connection.
     type Stream: AsyncRead + AsyncWrite + Unpin + 'static;
-    /// Takes connections.
     type Listener;
     /// Where a peer listens.
     type Address: Clone + Debug + Ord + Into<MediumAddress>;
@@ -174,7 +172,7 @@ pub(crate) struct StreamLimits {
 pub(crate) struct Streams<F: StreamFamily> {
     family: F,
     bounds: StreamLimits,
-    pub(crate) outlet: Upstream,
+    pub(crate) upstream: Upstream,
     reopening: ReopenBackoff,
     listener: Option<Listener<F>>,
     /// The oldest first.
@@ -182,7 +180,7 @@ pub(crate) struct Streams<F: StreamFamily> {
     /// How many connections were unproven so far.
     numbered: u32,
     peers: Vec<StreamPeer<F>>,
-    /// Whose turn to read is first: the peer before whom the outlet was full, or behind the last
+    /// Whose turn to read is first: the peer before whom the upstream was full, or behind the last
     /// peer the strangers.
     first: usize,
     denials: BTreeSet<String>,
@@ -200,7 +198,7 @@ impl<F: StreamFamily> Streams<F> {
         Streams {
             bounds: family.bounds(),
             family,
-            outlet: Upstream::default(),
+            upstream: Upstream::default(),
             reopening: ReopenBackoff::default(),
             listener: None,
             strangers: VecDeque::new(),
@@ -218,11 +216,11 @@ impl<F: StreamFamily> Streams<F> {
                 self.reopening.reset();
                 self.listener = Some(Listener { socket, local: local.clone(), pause: None });
                 let (local, mtu, is_probed) = (local.into(), self.bounds.mtu, false);
-                self.outlet.announce(TransportReport::Opened { local, mtu, is_probed });
+                self.upstream.announce(TransportReport::Opened { local, mtu, is_probed });
             }
             Err(reason) => {
                 self.reopening.failed();
-                self.outlet.announce_closed(reason);
+                self.upstream.announce_closed(reason);
             }
         }
     }
@@ -242,14 +240,14 @@ impl<F: StreamFamily> Streams<F> {
                     let said = self.family.greet(stream, &origin);
                     if self.strangers.len() >= self.bounds.strangers {
                         let oldest = self.strangers.pop_front();
-                        self.outlet.counters.dropped += oldest.map_or(0, Stranger::abandon);
-                        self.outlet.counters.refused += 1;
+                        self.upstream.counters.dropped += oldest.map_or(0, Stranger::abandon);
+                        self.upstream.counters.refused += 1;
                     }
                     self.strangers.push_back(Stranger::Greeting(Greeting { origin, said }));
                 }
                 Poll::Ready(Err(error)) if error.kind() == io::ErrorKind::ConnectionAborted => {}
                 Poll::Ready(Err(error)) => {
-                    self.outlet.counters.errors += 1;
+                    self.upstream.counters.errors += 1;
                     let local: MediumAddress = local.clone().into();
                     let what = format_args!("no connection to {local} can be accepted");
                     self.descriptors.warn(what, &error, task);
@@ -272,9 +270,9 @@ impl<F: StreamFamily> Streams<F> {
             };
             match met {
                 Some(Stranger::Unproven(mut unproven)) => {
-                    match unproven.poll(task, &mut self.outlet) {
+                    match unproven.poll(task, &mut self.upstream) {
                         Ok(()) => self.strangers.push_back(Stranger::Unproven(unproven)),
-                        Err(broken) => self.give_up(unproven, broken),
+                        Err(reason) => self.give_up(unproven, reason),
                     }
                 }
                 greeting => self.strangers.extend(greeting),
@@ -293,11 +291,11 @@ impl<F: StreamFamily> Streams<F> {
         };
         match said {
             Ok((stream, address)) => {
-                let admitted = match self.outlet.connections() {
+                let admitted = match self.upstream.connections() {
                     ConnectionTrust::Claimed => self.admit(address, stream).map(|()| None),
                     ConnectionTrust::Proven => self.admit_unproven(address, stream).map(Some),
                 };
-                self.outlet.counters.refused += u64::from(admitted.is_none());
+                self.upstream.counters.refused += u64::from(admitted.is_none());
                 admitted.flatten()
             }
             Err(error) => {
@@ -306,9 +304,9 @@ impl<F: StreamFamily> Streams<F> {
                 match error.kind() {
                     // The peer has closed it: our own connection to the peer may have come first.
                     io::ErrorKind::UnexpectedEof | io::ErrorKind::ConnectionReset => {
-                        self.outlet.counters.errors += 1;
+                        self.upstream.counters.errors += 1;
                     }
-                    _ => self.outlet.counters.refused += 1,
+                    _ => self.upstream.counters.refused += 1,
                 }
                 None
             }
@@ -323,21 +321,21 @@ impl<F: StreamFamily> Streams<F> {
         }
         let number = self.numbered;
         self.numbered = number.wrapping_add(1);
-        let patience = self.bounds.hello_timeout;
-        let unproven = UnprovenConnection::new(number, claimed.into(), stream, patience);
+        let timeout = self.bounds.hello_timeout;
+        let unproven = UnprovenConnection::new(number, claimed.into(), stream, timeout);
         Some(Stranger::Unproven(unproven))
     }
 
     /// An unproven connection is no more. It was no peer's, and is not reported as one.
-    fn give_up(&mut self, mut unproven: UnprovenConnection<F::Stream>, broken: DisconnectReason) {
-        self.count(broken);
-        self.outlet.counters.dropped += unproven.clear();
+    fn give_up(&mut self, mut unproven: UnprovenConnection<F::Stream>, reason: DisconnectReason) {
+        self.count(reason);
+        self.upstream.counters.dropped += unproven.clear();
     }
 
-    fn count(&mut self, broken: DisconnectReason) {
-        match broken {
-            DisconnectReason::Lost => self.outlet.counters.errors += 1,
-            DisconnectReason::Refused => self.outlet.counters.refused += 1,
+    fn count(&mut self, reason: DisconnectReason) {
+        match reason {
+            DisconnectReason::Lost => self.upstream.counters.errors += 1,
+            DisconnectReason::Refused => self.upstream.counters.refused += 1,
         }
     }
 
@@ -357,7 +355,7 @@ impl<F: StreamFamily> Streams<F> {
             self.peers[index].adopt(connection, waiting);
         } else {
             self.give_up(unproven, DisconnectReason::Refused);
-            self.outlet.report(TransportReport::PeerLost { peer });
+            self.upstream.report(TransportReport::PeerLost { peer });
         }
     }
 
@@ -376,7 +374,7 @@ impl<F: StreamFamily> Streams<F> {
         }
         F::introduce(&stream, &local).ok()?;
         if peer.is_connected() {
-            self.outlet.report(TransportReport::PeerLost { peer: address.into() });
+            self.upstream.report(TransportReport::PeerLost { peer: address.into() });
         }
         peer.connect(stream);
         Some(())
@@ -406,11 +404,11 @@ impl<F: StreamFamily> Streams<F> {
                 let address: MediumAddress = peer.address.clone().into();
                 let what = format_args!("no connection to {address} can be made");
                 self.descriptors.warn(what, &error, task);
-                self.outlet.counters.errors += 1;
-                self.outlet.counters.dropped += peer.rest();
+                self.upstream.counters.errors += 1;
+                self.upstream.counters.dropped += peer.rest();
                 task.waker().wake_by_ref();
-            } else if let Err(broken) = peer.write(task, &mut self.outlet) {
-                self.lose(index, broken, task);
+            } else if let Err(reason) = peer.write(task, &mut self.upstream) {
+                self.lose(index, reason, task);
             }
         }
     }
@@ -422,8 +420,8 @@ impl<F: StreamFamily> Streams<F> {
             let end = match self.peers.get_mut(index) {
                 None => self.read_strangers(task),
                 Some(peer) => {
-                    peer.read(task, self.bounds.mtu, &mut self.outlet).unwrap_or_else(|broken| {
-                        self.lose(index, broken, task);
+                    peer.read(task, self.bounds.mtu, &mut self.upstream).unwrap_or_else(|reason| {
+                        self.lose(index, reason, task);
                         ReadEnd::Done
                     })
                 }
@@ -446,13 +444,13 @@ impl<F: StreamFamily> Streams<F> {
         while let Some(stranger) = self.strangers.get_mut(index) {
             index += 1;
             let Stranger::Unproven(unproven) = stranger else { continue };
-            match unproven.read(task, self.bounds.mtu, &mut budget, &mut self.outlet) {
+            match unproven.read(task, self.bounds.mtu, &mut budget, &mut self.upstream) {
                 Ok(ReadEnd::Done) => {}
                 Ok(end) => return end,
-                Err(broken) => {
+                Err(reason) => {
                     index -= 1;
                     if let Some(Stranger::Unproven(unproven)) = self.strangers.remove(index) {
-                        self.give_up(unproven, broken);
+                        self.give_up(unproven, reason);
                     }
                 }
             }
@@ -460,11 +458,11 @@ impl<F: StreamFamily> Streams<F> {
         ReadEnd::Done
     }
 
-    fn lose(&mut self, index: usize, broken: DisconnectReason, task: &mut task::Context<'_>) {
-        self.count(broken);
+    fn lose(&mut self, index: usize, reason: DisconnectReason, task: &mut task::Context<'_>) {
+        self.count(reason);
         let peer = &mut self.peers[index];
-        self.outlet.counters.dropped += peer.rest();
-        self.outlet.report(TransportReport::PeerLost { peer: peer.address.clone().into() });
+        self.upstream.counters.dropped += peer.rest();
+        self.upstream.report(TransportReport::PeerLost { peer: peer.address.clone().into() });
         // The pause that has begun was not polled yet.
         task.waker().wake_by_ref();
     }
@@ -475,9 +473,9 @@ impl<F: StreamFamily> Streams<F> {
     }
 
     pub(crate) fn attach(&mut self, message: Attach) {
-        let before = self.outlet.connections();
-        self.outlet.attach(message);
-        if self.outlet.connections() != before {
+        let before = self.upstream.connections();
+        self.upstream.attach(message);
+        if self.upstream.connections() != before {
             self.disconnect();
         }
     }
@@ -485,22 +483,22 @@ impl<F: StreamFamily> Streams<F> {
     pub(crate) fn transmit(&mut self, message: Transmit) {
         let Transmit { to, frame, lane } = message;
         if frame.len() > self.bounds.mtu {
-            self.outlet.counters.refused += 1;
+            self.upstream.counters.refused += 1;
             return;
         }
         if let MediumAddress::Connection { number, .. } = to {
             let taken = self.transmit_on(number, lane, frame);
-            self.outlet.counters.dropped += u64::from(!taken);
+            self.upstream.counters.dropped += u64::from(!taken);
             return;
         }
         let Some(to) = F::address(to) else {
-            self.outlet.counters.refused += 1;
+            self.upstream.counters.refused += 1;
             return;
         };
         let local = self.listener.as_ref().map(|listener| listener.local.clone());
         let (Some(local), Some(index)) = (local.filter(|local| *local != to), self.place(&to))
         else {
-            self.outlet.counters.dropped += 1;
+            self.upstream.counters.dropped += 1;
             return;
         };
         let peer = &mut self.peers[index];
@@ -508,20 +506,20 @@ impl<F: StreamFamily> Streams<F> {
             peer.state = ConnectionState::Dialing(self.family.dial(&local, &to));
         }
         let resting = matches!(peer.state, ConnectionState::Backoff(_));
-        if resting || !peer.outgoing.push((lane, frame, self.outlet.now()), self.bounds.queue_bytes)
-        {
-            self.outlet.counters.dropped += 1;
+        let waiting = (lane, frame, self.upstream.now());
+        if resting || !peer.outgoing.push(waiting, self.bounds.queue_bytes) {
+            self.upstream.counters.dropped += 1;
         }
     }
 
     /// Says whether the connection, adopted since or not, takes the frame.
     fn transmit_on(&mut self, number: u32, lane: FrameLane, frame: GatherBuffer) -> bool {
         if let Some(unproven) = self.strangers.iter_mut().find_map(|one| one.numbered(number)) {
-            return unproven.push((lane, frame, self.outlet.now()));
+            return unproven.push((lane, frame, self.upstream.now()));
         }
         let adopted = self.peers.iter_mut().find(|peer| peer.has_adopted(number));
         adopted.is_some_and(|peer| {
-            peer.outgoing.push((lane, frame, self.outlet.now()), self.bounds.queue_bytes)
+            peer.outgoing.push((lane, frame, self.upstream.now()), self.bounds.queue_bytes)
         })
     }
 
@@ -540,7 +538,7 @@ impl<F: StreamFamily> Streams<F> {
 
     /// What waits for all peers.
     pub(crate) fn backlog(&self) -> TransmitBacklog {
-        let now = self.outlet.now();
+        let now = self.upstream.now();
         let peers = self.peers.iter().map(|peer| peer.outgoing.backlog(now));
         peers.fold(TransmitBacklog::default(), TransmitBacklog::and)
     }
@@ -553,7 +551,7 @@ impl<F: StreamFamily> Streams<F> {
     fn disconnect(&mut self) {
         let strangers = self.strangers.drain(..).map(Stranger::abandon);
         let peers = self.peers.drain(..).map(|mut peer| peer.outgoing.clear());
-        self.outlet.counters.dropped += strangers.chain(peers).sum::<u64>();
+        self.upstream.counters.dropped += strangers.chain(peers).sum::<u64>();
         self.first = 0;
     }
 }

@@ -42,7 +42,7 @@ pub(super) enum ConnectionState<S> {
     Absent,
     /// A connection is being made; frames wait for it.
     Dialing(HandshakeFuture<S>),
-    /// Frames flow.
+    /// The connection is open and carries frames.
     Connected(Connection<S>),
     /// It failed or broke a moment ago; frames are dropped.
     Backoff(Pin<Box<Sleep>>),
@@ -123,10 +123,10 @@ impl<F: StreamFamily> StreamPeer<F> {
     pub(super) fn write(
         &mut self,
         task: &mut task::Context<'_>,
-        outlet: &mut Upstream,
+        upstream: &mut Upstream,
     ) -> Result<(), DisconnectReason> {
         if let ConnectionState::Connected(connection) = &mut self.state {
-            outlet.counters.sent += connection.write(&mut self.outgoing, task)?;
+            upstream.counters.sent += connection.write(&mut self.outgoing, task)?;
         }
         Ok(())
     }
@@ -136,14 +136,14 @@ impl<F: StreamFamily> StreamPeer<F> {
         &mut self,
         task: &mut task::Context<'_>,
         limit: usize,
-        outlet: &mut Upstream,
+        upstream: &mut Upstream,
     ) -> Result<ReadEnd, DisconnectReason> {
         let ConnectionState::Connected(connection) = &mut self.state else {
             return Ok(ReadEnd::Done);
         };
         let mut budget = PollBudget::default();
         while budget.next() {
-            if outlet.poll_capacity(task).is_pending() {
+            if upstream.poll_capacity(task).is_pending() {
                 return Ok(ReadEnd::Full);
             }
             match connection.read(limit, task)? {
@@ -151,7 +151,7 @@ impl<F: StreamFamily> StreamPeer<F> {
                 ReadStep::Part => {}
                 ReadStep::Frame(frame) => {
                     budget.spend(frame.len());
-                    outlet.deliver(self.address.clone().into(), frame);
+                    upstream.deliver(self.address.clone().into(), frame);
                 }
             }
         }

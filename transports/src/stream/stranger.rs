@@ -50,7 +50,7 @@ pub(super) struct UnprovenConnection<S> {
     connection: Connection<S>,
     outgoing: StreamSendQueue,
     frames_left: u8,
-    patience: Pin<Box<Sleep>>,
+    timeout: Pin<Box<Sleep>>,
 }
 
 impl<F: StreamFamily> Stranger<F> {
@@ -72,14 +72,14 @@ impl<F: StreamFamily> Stranger<F> {
 }
 
 impl<S: AsyncRead + AsyncWrite + Unpin> UnprovenConnection<S> {
-    pub(super) fn new(number: u32, claimed: MediumAddress, stream: S, patience: Duration) -> Self {
+    pub(super) fn new(number: u32, claimed: MediumAddress, stream: S, timeout: Duration) -> Self {
         UnprovenConnection {
             number,
             address: MediumAddress::Connection { number, claimed: Arc::new(claimed) },
             connection: Connection::new(stream, Some(number)),
             outgoing: StreamSendQueue::default(),
             frames_left: FRAMES,
-            patience: Box::pin(tokio::time::sleep(patience)),
+            timeout: Box::pin(tokio::time::sleep(timeout)),
         }
     }
 
@@ -102,12 +102,12 @@ impl<S: AsyncRead + AsyncWrite + Unpin> UnprovenConnection<S> {
     pub(super) fn poll(
         &mut self,
         task: &mut task::Context<'_>,
-        outlet: &mut Upstream,
+        upstream: &mut Upstream,
     ) -> Result<(), DisconnectReason> {
-        if self.patience.as_mut().poll(task).is_ready() {
+        if self.timeout.as_mut().poll(task).is_ready() {
             return Err(DisconnectReason::Refused);
         }
-        outlet.counters.sent += self.connection.write(&mut self.outgoing, task)?;
+        upstream.counters.sent += self.connection.write(&mut self.outgoing, task)?;
         Ok(())
     }
 
@@ -117,7 +117,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> UnprovenConnection<S> {
         task: &mut task::Context<'_>,
         mtu: usize,
         budget: &mut PollBudget,
-        outlet: &mut Upstream,
+        upstream: &mut Upstream,
     ) -> Result<ReadEnd, DisconnectReason> {
         while self.frames_left > 0 {
             match self.connection.announced() {
@@ -128,7 +128,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> UnprovenConnection<S> {
             if budget.is_spent() {
                 return Ok(ReadEnd::Budget);
             }
-            if outlet.poll_capacity(task).is_pending() {
+            if upstream.poll_capacity(task).is_pending() {
                 return Ok(ReadEnd::Full);
             }
             match self.connection.read(FRAME_LIMIT, task)? {
@@ -136,7 +136,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> UnprovenConnection<S> {
                 ReadStep::Part => {}
                 ReadStep::Frame(frame) => {
                     self.frames_left -= 1;
-                    outlet.deliver(self.address.clone(), frame);
+                    upstream.deliver(self.address.clone(), frame);
                 }
             }
             // One that says nothing uses nothing up: it keeps none from being heard.

@@ -35,7 +35,7 @@ pub(super) async fn dial(
         let mut stream = socket.connect(peer).await?;
         prepare(&stream, config.user_timeout)?;
         introduce(&stream, local.port())?;
-        if hear(&mut stream).await? != peer.port() {
+        if read_preamble(&mut stream).await? != peer.port() {
             return Err(io::Error::other("another node listens there"));
         }
         Ok(stream)
@@ -49,7 +49,7 @@ pub(super) async fn greet(
     config: TcpConfig,
 ) -> io::Result<(TcpStream, u16)> {
     prepare(&stream, config.user_timeout)?;
-    let port = timeout(config.hello_timeout, hear(&mut stream)).await??;
+    let port = timeout(config.hello_timeout, read_preamble(&mut stream)).await??;
     Ok((stream, port))
 }
 
@@ -62,7 +62,7 @@ pub(super) fn introduce(stream: &TcpStream, port: u16) -> io::Result<()> {
     }
 }
 
-async fn hear(stream: &mut TcpStream) -> io::Result<u16> {
+async fn read_preamble(stream: &mut TcpStream) -> io::Result<u16> {
     let mut preamble = [0; PREAMBLE];
     stream.read_exact(&mut preamble).await?;
     decode_preamble(preamble)

@@ -99,7 +99,7 @@ impl UdpConfig {
 /// It lives until it is sent [`Close`](blastema_contract::transport::Close).
 pub struct Udp {
     config: UdpConfig,
-    outlet: Upstream,
+    upstream: Upstream,
     binding: BoundAddress,
     reopening: ReopenBackoff,
     socket: Option<UdpSocket>,
@@ -118,7 +118,7 @@ impl Udp {
         Udp {
             binding: BoundAddress::new(config.bind),
             config,
-            outlet: Upstream::default(),
+            upstream: Upstream::default(),
             reopening: ReopenBackoff::default(),
             socket: None,
             ear: None,
@@ -138,7 +138,7 @@ impl Udp {
                 (self.socket, self.ear) = (Some(socket), ear);
                 let (local, mtu) = (MediumAddress::Ip(local), self.config.mtu());
                 let is_probed = self.config.leaves_the_computer();
-                self.outlet.announce(TransportReport::Opened { local, mtu, is_probed });
+                self.upstream.announce(TransportReport::Opened { local, mtu, is_probed });
             }
             Err(error) => {
                 self.lose(explain("udp", address, self.config.interface.as_deref(), &error))
@@ -149,22 +149,22 @@ impl Udp {
     fn lose(&mut self, reason: String) {
         self.shut();
         self.reopening.failed();
-        self.outlet.announce_closed(reason);
+        self.upstream.announce_closed(reason);
     }
 
     /// Sends one datagram, or gives it back when the kernel has no room for it.
     fn send(&mut self, to: SocketAddr, frame: GatherBuffer) -> Option<GatherBuffer> {
         let Some(socket) = &self.socket else {
-            self.outlet.counters.dropped += 1;
+            self.upstream.counters.dropped += 1;
             return None;
         };
         match try_send(socket, &frame, to) {
-            Ok(_) => self.outlet.counters.sent += 1,
+            Ok(_) => self.upstream.counters.sent += 1,
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Some(frame),
             Err(error) => {
                 tracing::trace!(%error, %to, "a datagram was not sent");
-                self.outlet.counters.dropped += 1;
-                self.outlet.counters.errors += 1;
+                self.upstream.counters.dropped += 1;
+                self.upstream.counters.errors += 1;
             }
         }
         None
@@ -212,7 +212,7 @@ impl Udp {
         let chunk = capacity.max(CHUNK);
         let mut budget = PollBudget::default();
         while budget.next() {
-            if self.outlet.poll_capacity(task).is_pending() {
+            if self.upstream.poll_capacity(task).is_pending() {
                 return Turn::Empty;
             }
             if self.buffer.capacity() < capacity {
@@ -220,16 +220,18 @@ impl Udp {
             }
             match socket.try_recv_buf_from(&mut (&mut self.buffer).limit(capacity)) {
                 // What we have said to the group ourselves comes back from it.
-                Ok((_, from)) if self.group_brings_back(from) => self.buffer.clear(),
+                Ok((_, from)) if self.config.group.is_some() && self.binding.is_at(from) => {
+                    self.buffer.clear();
+                }
                 Ok((length, _)) if length > mtu => {
                     self.buffer.clear();
-                    self.outlet.counters.refused += 1;
+                    self.upstream.counters.refused += 1;
                 }
                 Ok((length, from)) => {
                     self.errors_in_a_row = 0;
                     budget.spend(length);
                     let frame = part_frame(&mut self.buffer, length, chunk);
-                    self.outlet.deliver(MediumAddress::Ip(from), frame);
+                    self.upstream.deliver(MediumAddress::Ip(from), frame);
                 }
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
                     if socket.poll_recv_ready(task).is_pending() {
@@ -239,7 +241,7 @@ impl Udp {
                 // An ICMP message about an earlier datagram comes back as an error of the socket.
                 // It is news of one peer, and no reason to give up the others.
                 Err(error) => {
-                    self.outlet.counters.errors += 1;
+                    self.upstream.counters.errors += 1;
                     self.errors_in_a_row += 1;
                     if self.errors_in_a_row >= ERRORS_IN_A_ROW {
                         let local = socket.local_addr().unwrap_or(self.config.bind);
@@ -250,10 +252,6 @@ impl Udp {
             }
         }
         Turn::More
-    }
-
-    fn group_brings_back(&self, from: SocketAddr) -> bool {
-        self.config.group.is_some() && self.binding.is_at(from)
     }
 }
 
@@ -275,8 +273,8 @@ enum Turn {
 }
 
 impl MediumActor for Udp {
-    fn outlet(&mut self) -> &mut Upstream {
-        &mut self.outlet
+    fn upstream(&mut self) -> &mut Upstream {
+        &mut self.upstream
     }
 
     fn open(&mut self, _: &mut Context<Self>) {
@@ -287,11 +285,11 @@ impl MediumActor for Udp {
     fn transmit(&mut self, message: Transmit) {
         let Transmit { to, frame, lane } = message;
         let MediumAddress::Ip(to) = to else {
-            self.outlet.counters.refused += 1;
+            self.upstream.counters.refused += 1;
             return;
         };
         if frame.len() > self.config.mtu() {
-            self.outlet.counters.refused += 1;
+            self.upstream.counters.refused += 1;
             return;
         }
         // Nothing overtakes what waits already, but for the urgent.
@@ -299,13 +297,13 @@ impl MediumActor for Udp {
         let Some(frame) = (if waits { Some(frame) } else { self.send(to, frame) }) else { return };
         let limits = QueueLimits { frames: self.config.queue_frames, bytes: usize::MAX };
         let bytes = frame.len();
-        if !self.queue.push(lane, ((to, frame), self.outlet.now()), bytes, limits) {
-            self.outlet.counters.dropped += 1;
+        if !self.queue.push(lane, ((to, frame), self.upstream.now()), bytes, limits) {
+            self.upstream.counters.dropped += 1;
         }
     }
 
     fn backlog(&self) -> TransmitBacklog {
-        self.queue.backlog(self.going.is_some(), self.outlet.now())
+        self.queue.backlog(self.going.is_some(), self.upstream.now())
     }
 
     fn pump(&mut self, task: &mut task::Context<'_>) {
@@ -321,8 +319,8 @@ impl MediumActor for Udp {
 
     fn shut(&mut self) {
         (self.socket, self.ear) = (None, None);
-        self.outlet.counters.dropped += self.queue.clear();
-        self.outlet.counters.dropped += u64::from(self.going.take().is_some());
+        self.upstream.counters.dropped += self.queue.clear();
+        self.upstream.counters.dropped += u64::from(self.going.take().is_some());
         self.buffer = BytesMut::new();
         self.errors_in_a_row = 0;
     }
@@ -342,7 +340,7 @@ fn open(
     let own = multicast::own_address(address, group, config.interface.as_deref())?;
     let socket = bind(own, config)?;
     multicast::speak(&socket, config)?;
-    let ear = multicast::hear(group, own.ip(), config)?;
+    let ear = multicast::listen(group, own.ip(), config)?;
     Ok((socket.local_addr()?, socket, Some(ear)))
 }
 
@@ -363,8 +361,8 @@ fn bind(address: SocketAddr, config: &UdpConfig) -> io::Result<UdpSocket> {
     UdpSocket::from_std(socket.into())
 }
 
-/// A datagram that is too large for a network on its path is lost, not cut up, whatever routers have
-/// said of the path: their messages may be forged, and links probe it (RFC 8899, 4.1).
+/// A datagram that is too large for a network on its path is lost, not cut up, whatever routers
+/// have said of the path: their messages may be forged, and links probe it (RFC 8899, 4.1).
 #[cfg(target_os = "linux")]
 fn forbid_fragments(socket: &Socket, address: SocketAddr) -> io::Result<()> {
     use rustix::net::sockopt::{

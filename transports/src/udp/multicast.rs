@@ -9,7 +9,7 @@ use crate::bound_address::confine;
 use crate::udp::UdpConfig;
 use socket2::{Domain, Protocol, SockRef, Socket, Type};
 use std::io;
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use tokio::net::UdpSocket;
 
 /// The address at which our own socket opens. It must be a definite one: by it we know what we have
@@ -50,7 +50,7 @@ pub(crate) fn speak(own: &UdpSocket, config: &UdpConfig) -> io::Result<()> {
 }
 
 /// A socket that hears the group where `own` is.
-pub(crate) fn hear(group: SocketAddr, own: IpAddr, config: &UdpConfig) -> io::Result<UdpSocket> {
+pub(crate) fn listen(group: SocketAddr, own: IpAddr, config: &UdpConfig) -> io::Result<UdpSocket> {
     let socket = Socket::new(Domain::for_address(group), Type::DGRAM, Some(Protocol::UDP))?;
     socket.set_nonblocking(true)?;
     // Others of this machine hear the same group at the same port.
@@ -73,13 +73,11 @@ pub(crate) fn hear(group: SocketAddr, own: IpAddr, config: &UdpConfig) -> io::Re
             socket.set_multicast_all_v4(false)?;
             socket.join_multicast_v4(&group, &own)?;
         }
-        (IpAddr::V6(group), _) => join_v6(&socket, &group, config)?,
+        (IpAddr::V6(group), _) => {
+            socket.join_multicast_v6(&group, index(config.interface.as_deref())?)?;
+        }
     }
     UdpSocket::from_std(socket.into())
-}
-
-fn join_v6(socket: &Socket, group: &Ipv6Addr, config: &UdpConfig) -> io::Result<()> {
-    socket.join_multicast_v6(group, index(config.interface.as_deref())?)
 }
 
 /// The system's number of an interface; 0 leaves the choice to its routes.

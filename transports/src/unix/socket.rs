@@ -181,13 +181,13 @@ pub(super) async fn dial(
     local: Arc<Path>,
     peer: Arc<Path>,
     users: AllowedUsers,
-    patience: Duration,
+    hello_timeout: Duration,
 ) -> io::Result<UnixStream> {
-    timeout(patience, async {
+    timeout(hello_timeout, async {
         let mut stream = UnixStream::connect(&peer).await?;
         users.check(&stream, &peer, PeerRole::Listener)?;
         introduce(&stream, &local)?;
-        if hear(&mut stream).await? != peer {
+        if read_preamble(&mut stream).await? != peer {
             return Err(io::Error::other("another node listens there"));
         }
         Ok(stream)
@@ -198,9 +198,9 @@ pub(super) async fn dial(
 /// Learns at which path a node that has connected listens.
 pub(super) async fn greet(
     mut stream: UnixStream,
-    patience: Duration,
+    hello_timeout: Duration,
 ) -> io::Result<(UnixStream, Arc<Path>)> {
-    let path = timeout(patience, hear(&mut stream)).await??;
+    let path = timeout(hello_timeout, read_preamble(&mut stream)).await??;
     Ok((stream, path))
 }
 
@@ -214,7 +214,7 @@ pub(super) fn introduce(stream: &UnixStream, path: &Path) -> io::Result<()> {
     }
 }
 
-async fn hear(stream: &mut UnixStream) -> io::Result<Arc<Path>> {
+async fn read_preamble(stream: &mut UnixStream) -> io::Result<Arc<Path>> {
     let mut preamble = [0; PREAMBLE];
     stream.read_exact(&mut preamble).await?;
     let length = decode_path_length(preamble)

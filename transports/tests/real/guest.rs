@@ -415,7 +415,7 @@ async fn serve(mut port: tokio_serial::SerialStream, said: actix::Recipient<Said
         let mut answers = Vec::new();
         while let Ok(frame) = bus.read_frame() {
             if let Some(frame) = from_socket(&frame) {
-                AdapterReply::Frame { frame, time_ms: None }.encode(&mut answers);
+                AdapterReply::Frame(frame).encode(&mut answers);
             }
         }
         let heard = tokio::time::timeout(

@@ -5,6 +5,7 @@ mod conformance;
 // For a kernel that this machine may lack: tests/guest/run.
 #[cfg(guest)]
 mod guest;
+mod hostile;
 mod proven;
 mod serial;
 mod slcan;

@@ -1,27 +1,36 @@
 //! What streams do for a receiver that proves whose their connections are.
 
-use actix::prelude::*;
+use crate::conformance::end::{End, in_real_time};
+use crate::conformance::media::ip;
+use actix::Actor;
 use blastema_contract::transport::{
-    Adopt, Attach, Close, ConnectionTrust, MediumAddress, ReadCounters, Received, Transmit,
-    Transport, TransportCounters, TransportReport,
+    Adopt, Close, ConnectionTrust, MediumAddress, Received, Transport, TransportCounters,
+    TransportReport,
 };
-use blastema_doubles::{PATIENCE, Probe};
+use blastema_doubles::PATIENCE;
 use blastema_transports::tcp::framing::{
     PREAMBLE, encode_header, encode_path_preamble, encode_preamble,
 };
 use blastema_transports::{Tcp, TcpConfig, Unix, UnixConfig};
 use std::collections::VecDeque;
-use std::future::Future;
 use std::net::SocketAddr;
+use std::ops::Deref;
 use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream, UnixStream};
 
+/// An end that is open.
 struct Node {
-    transport: Transport,
+    end: End,
     local: MediumAddress,
-    frames: Probe<Received>,
-    reports: Probe<TransportReport>,
+}
+
+impl Deref for Node {
+    type Target = End;
+
+    fn deref(&self) -> &End {
+        &self.end
+    }
 }
 
 impl Node {
@@ -30,29 +39,17 @@ impl Node {
     }
 
     async fn attach(transport: Transport, connections: ConnectionTrust) -> Self {
-        let (frames, reports) = (Probe::start(), Probe::start());
-        let attach = Attach {
-            frames: frames.recipient(),
-            reports: reports.recipient(),
-            connections,
-            clock: None,
-        };
-        transport.attach.do_send(attach);
-        match reports.expect().await {
-            TransportReport::Opened { local, .. } => Node { transport, local, frames, reports },
-            other => panic!("{other:?}"),
-        }
+        let end = End::trusting(transport, connections);
+        let (local, _) = end.opened().await;
+        Node { end, local }
     }
 
     fn port(&self) -> SocketAddr {
-        match self.local {
-            MediumAddress::Ip(local) => local,
-            ref other => panic!("{other} has no port"),
-        }
+        ip(&self.local)
     }
 
     fn send(&self, to: &MediumAddress, frame: &[u8]) {
-        self.transport.transmit.do_send(Transmit::new(to.clone(), frame.to_vec().into()));
+        self.end.send(to.clone(), frame.to_vec());
     }
 
     fn adopt(&self, connection: &MediumAddress, peer: &MediumAddress) {
@@ -66,20 +63,6 @@ impl Node {
         (from, frame.to_vec())
     }
 
-    async fn counters(&self) -> TransportCounters {
-        self.transport.counters.send(ReadCounters).await.unwrap()
-    }
-
-    async fn counted(&self, wanted: impl Fn(&TransportCounters) -> bool) {
-        let counted = async {
-            while !wanted(&self.counters().await) {
-                tokio::task::yield_now().await;
-            }
-        };
-        let waited = tokio::time::timeout(PATIENCE, counted).await;
-        assert!(waited.is_ok(), "{:?}", self.counters().await);
-    }
-
     /// Receives the first frame of a connection, which is not proven yet, and adopts it.
     async fn prove(&self, peer: &MediumAddress) -> MediumAddress {
         let (connection, _) = self.next().await;
@@ -87,10 +70,6 @@ impl Node {
         self.adopt(&connection, peer);
         connection
     }
-}
-
-fn run(test: impl Future<Output = ()>) {
-    actix_rt::System::new().block_on(test);
 }
 
 fn at_port(port: u16) -> MediumAddress {
@@ -132,7 +111,7 @@ async fn closed(mut stream: impl AsyncReadExt + Unpin) {
 #[test]
 fn a_connection_is_no_peers_until_the_receiver_knows_whose_it_is() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let node = Node::open(TcpConfig::default()).await;
         let mut stream = claiming(node.port(), 7400).await;
 
@@ -161,7 +140,7 @@ fn a_connection_is_no_peers_until_the_receiver_knows_whose_it_is() {
 #[test]
 fn neither_garbage_nor_8_bytes_that_claim_its_address_disturb_a_peers_connection() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let node = Node::open(TcpConfig::default()).await;
         let mut live = claiming(node.port(), 7400).await;
         live.write_all(&framed(b"init")).await.unwrap();
@@ -183,7 +162,7 @@ fn neither_garbage_nor_8_bytes_that_claim_its_address_disturb_a_peers_connection
 #[test]
 fn what_2000_connections_with_garbage_do_costs_a_peer_no_frame() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let node = Node::open(TcpConfig::default()).await;
         let mut live = claiming(node.port(), 7400).await;
         live.write_all(&framed(b"init")).await.unwrap();
@@ -228,7 +207,7 @@ fn what_2000_connections_with_garbage_do_costs_a_peer_no_frame() {
 #[test]
 fn a_connection_that_sends_more_than_a_handshake_is_closed() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let node = Node::open(TcpConfig::default()).await;
         let mut stream = claiming(node.port(), 7400).await;
 
@@ -246,7 +225,7 @@ fn a_connection_that_sends_more_than_a_handshake_is_closed() {
 #[test]
 fn a_connection_that_sends_too_large_a_frame_or_proves_nothing_is_closed() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let mut config = TcpConfig::default();
         config.hello_timeout = Duration::from_millis(10);
         let node = Node::open(config).await;
@@ -275,7 +254,7 @@ fn a_connection_that_sends_too_large_a_frame_or_proves_nothing_is_closed() {
 #[test]
 fn unproven_connections_share_their_places_with_those_that_say_nothing() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let mut config = TcpConfig::default();
         (config.strangers, config.peers) = (2, 1);
         config.hello_timeout = 10 * PATIENCE;
@@ -309,7 +288,7 @@ fn unproven_connections_share_their_places_with_those_that_say_nothing() {
 #[test]
 fn an_adopted_connection_replaces_a_dialled_one_and_keeps_what_has_arrived() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let node = Node::open(TcpConfig::default()).await;
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let peer = listener.local_addr().unwrap();
@@ -338,7 +317,7 @@ fn an_adopted_connection_replaces_a_dialled_one_and_keeps_what_has_arrived() {
 #[test]
 fn what_waits_for_a_dial_goes_out_on_the_connection_that_is_adopted_meanwhile() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let mut config = TcpConfig::default();
         config.connect_timeout = 10 * PATIENCE;
         let node = Node::open(config).await;
@@ -362,7 +341,7 @@ fn what_waits_for_a_dial_goes_out_on_the_connection_that_is_adopted_meanwhile() 
 #[test]
 fn two_nodes_that_dial_each_other_at_once_keep_the_connection_that_is_adopted() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         for round in 0..50 {
             let mut nodes =
                 [Node::open(TcpConfig::default()).await, Node::open(TcpConfig::default()).await];
@@ -404,7 +383,7 @@ fn two_nodes_that_dial_each_other_at_once_keep_the_connection_that_is_adopted() 
 #[test]
 fn a_connection_that_is_gone_is_not_adopted_and_takes_no_frames() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let node = Node::open(TcpConfig::default()).await;
         let mut live = claiming(node.port(), 7400).await;
         live.write_all(&framed(b"init")).await.unwrap();
@@ -429,7 +408,7 @@ fn a_connection_that_is_gone_is_not_adopted_and_takes_no_frames() {
 #[test]
 fn connections_that_were_believed_end_when_a_receiver_wants_proof() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let transport: Transport = Tcp::new(TcpConfig::default()).start().into();
         let node = Node::attach(transport.clone(), ConnectionTrust::Claimed).await;
         let mut believed = claiming(node.port(), 7400).await;
@@ -448,7 +427,7 @@ fn connections_that_were_believed_end_when_a_receiver_wants_proof() {
 #[test]
 fn over_paths_a_connection_is_no_peers_too_until_it_is_adopted() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let folder = tempfile::TempDir::new().unwrap();
         let ours = folder.path().join("ours");
         let peer = MediumAddress::Unix(folder.path().join("peer").into());

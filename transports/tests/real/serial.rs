@@ -1,93 +1,45 @@
 //! What only serial lines do, on real ptys.
 
-use actix::prelude::*;
+use crate::conformance::end::{End, attach, in_real_time};
+use actix::Actor;
+use blastema_contract::transport::MediumAddress::Line;
 use blastema_contract::transport::{
-    Attach, MediumAddress, ReadCounters, Received, Transmit, TransmitBacklog, TransportCounters,
-    TransportReport,
+    Close, ConnectionTrust, Transmit, TransmitBacklog, TransportCounters, TransportReport,
 };
 use blastema_core::medium::lane::FrameLane;
-use blastema_doubles::{PATIENCE, Probe, advance, now, paused};
+use blastema_doubles::{advance, now, paused};
 use blastema_ptys::Cable;
 use blastema_transports::serial::framing::encode;
 use blastema_transports::{DirectionControl, FrameTransport, Rs485, SerialConfig, SerialLine};
-use std::future::Future;
 use std::path::PathBuf;
 use std::time::Duration;
 
-struct Node {
-    transport: Addr<FrameTransport>,
-    frames: Probe<Received>,
-    reports: Probe<TransportReport>,
+fn with(config: SerialConfig) -> End {
+    End::new(FrameTransport::new(SerialLine::new(config, now)).start())
 }
 
-fn run(test: impl Future<Output = ()>) {
-    actix_rt::System::new().block_on(test);
+fn at(path: PathBuf, baud: u32) -> End {
+    let mut config = SerialConfig::new(path);
+    config.baud = baud;
+    with(config)
 }
 
-impl Node {
-    fn at(path: PathBuf, baud: u32) -> Self {
-        let mut config = SerialConfig::new(path);
-        config.baud = baud;
-        Node::with(config)
-    }
-
-    fn with(config: SerialConfig) -> Self {
-        let transport = FrameTransport::new(SerialLine::new(config, now)).start();
-        let (frames, reports) = (Probe::start(), Probe::start());
-        let attach =
-            Attach { clock: Some(now), ..Attach::new(frames.recipient(), reports.recipient()) };
-        transport.do_send(attach);
-        Node { transport, frames, reports }
-    }
-
-    async fn open(path: PathBuf, baud: u32) -> Self {
-        let node = Node::at(path, baud);
-        node.opened().await;
-        node
-    }
-
-    async fn opened(&self) {
-        let opened = |report: &TransportReport| matches!(report, TransportReport::Opened { .. });
-        self.reports.wait(opened).await;
-    }
-
-    async fn closed(&self) -> String {
-        let closed = |report: &TransportReport| matches!(report, TransportReport::Closed { .. });
-        match self.reports.wait(closed).await {
-            TransportReport::Closed { reason } => reason,
-            other => unreachable!("{other:?} was not waited for"),
-        }
-    }
-
-    fn send(&self, frame: impl Into<bytes::Bytes>) {
-        self.transport.do_send(Transmit::new(MediumAddress::Line, frame.into().into()));
-    }
-
-    async fn counters(&self) -> TransportCounters {
-        self.transport.send(ReadCounters).await.unwrap()
-    }
-
-    async fn counted(&self, wanted: impl Fn(&TransportCounters) -> bool) {
-        let counted = async {
-            while !wanted(&self.counters().await) {
-                tokio::task::yield_now().await;
-            }
-        };
-        let waited = tokio::time::timeout(PATIENCE, counted).await;
-        assert!(waited.is_ok(), "{:?}", self.counters().await);
-    }
+async fn open(path: PathBuf, baud: u32) -> End {
+    let end = at(path, baud);
+    end.opened().await;
+    end
 }
 
 #[test]
 fn an_unplugged_port_is_closed_at_once_and_opened_when_it_is_plugged_in_again() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let cable = Cable::new();
-        let left = Node::open(cable.left(), 1_000_000).await;
-        let right = Node::open(cable.right(), 1_000_000).await;
+        let left = open(cable.left(), 1_000_000).await;
+        let right = open(cable.right(), 1_000_000).await;
 
         for round in 0..3_u8 {
-            left.send(vec![round]);
+            left.send(Line, vec![round]);
             assert_eq!(right.frames.expect().await.frame, vec![round]);
 
             cable.unplug();
@@ -95,7 +47,7 @@ fn an_unplugged_port_is_closed_at_once_and_opened_when_it_is_plugged_in_again() 
                 let reason = node.closed().await;
                 assert!(reason.contains("plug it in again"), "{reason}");
             }
-            left.send("into the void");
+            left.send(Line, "into the void");
 
             cable.plug();
             left.opened().await;
@@ -108,10 +60,10 @@ fn an_unplugged_port_is_closed_at_once_and_opened_when_it_is_plugged_in_again() 
 #[test]
 fn a_port_that_is_not_there_yet_is_named_and_opened_when_it_is() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let cable = Cable::new();
         cable.unplug();
-        let left = Node::at(cable.left(), 115_200);
+        let left = at(cable.left(), 115_200);
 
         let reason = left.closed().await;
         assert!(reason.contains("left cannot be opened"), "{reason}");
@@ -125,9 +77,9 @@ fn a_port_that_is_not_there_yet_is_named_and_opened_when_it_is() {
 #[test]
 fn what_is_no_terminal_is_no_port() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let file = tempfile::NamedTempFile::new().unwrap();
-        let node = Node::at(file.path().into(), 115_200);
+        let node = at(file.path().into(), 115_200);
 
         let reason = node.closed().await;
         assert!(reason.contains("check that it is a serial port"), "{reason}");
@@ -137,12 +89,12 @@ fn what_is_no_terminal_is_no_port() {
 #[test]
 fn a_driver_that_cannot_turn_the_line_is_named_with_what_helps() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let cable = Cable::new();
         let mut config = SerialConfig::new(cable.left());
         config.rs485 = DirectionControl::Driver(Rs485::default());
 
-        let reason = Node::with(config).closed().await;
+        let reason = with(config).closed().await;
 
         assert!(reason.contains("left cannot be opened"), "{reason}");
         assert!(reason.contains("does not turn the line of RS-485"), "{reason}");
@@ -153,28 +105,28 @@ fn a_driver_that_cannot_turn_the_line_is_named_with_what_helps() {
 #[test]
 fn a_driver_is_told_no_part_of_a_millisecond_and_one_that_turns_no_line_need_not_stop() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let cable = Cable::new();
         let mut how = Rs485::default();
         how.before = Duration::from_micros(1_500);
         let mut config = SerialConfig::new(cable.left());
         config.rs485 = DirectionControl::Driver(how);
-        let reason = Node::with(config).closed().await;
+        let reason = with(config).closed().await;
         assert!(reason.contains("in whole milliseconds"), "{reason}");
 
         let mut config = SerialConfig::new(cable.left());
         config.rs485 = DirectionControl::Off;
-        Node::with(config).opened().await;
+        with(config).opened().await;
     });
 }
 
 #[test]
 fn garbage_on_the_line_is_counted_and_takes_no_frame_along() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let cable = Cable::new();
-        let left = Node::open(cable.left(), 1_000_000).await;
-        let right = Node::open(cable.right(), 1_000_000).await;
+        let left = open(cable.left(), 1_000_000).await;
+        let right = open(cable.right(), 1_000_000).await;
         let mut torn = Vec::new();
         encode(b"a frame that is cut off", &mut torn);
 
@@ -186,7 +138,7 @@ fn garbage_on_the_line_is_counted_and_takes_no_frame_along() {
                 .enumerate()
         {
             cable.inject(&cable.right(), garbage);
-            left.send(vec![number as u8]);
+            left.send(Line, vec![number as u8]);
             assert_eq!(right.frames.expect().await.frame, vec![number as u8]);
         }
         let TransportCounters { received, refused, .. } = right.counters().await;
@@ -199,22 +151,22 @@ fn garbage_on_the_line_is_counted_and_takes_no_frame_along() {
 #[test]
 fn a_wrong_speed_is_noise_and_nothing_else_until_it_is_put_right() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let cable = Cable::new();
-        let left = Node::open(cable.left(), 115_200).await;
-        let wrong = Node::open(cable.right(), 57_600).await;
+        let left = open(cable.left(), 115_200).await;
+        let wrong = open(cable.right(), 57_600).await;
 
         for number in 1..=40 {
             // Wherever the relay cuts what it reads, some of these turn into the end of a frame.
-            left.send(vec![0x55; 100]);
+            left.send(Line, vec![0x55; 100]);
             left.counted(|counters| counters.sent == number).await;
         }
         wrong.counted(|counters| counters.refused > 0).await;
         assert_eq!(wrong.counters().await.received, 0);
 
-        wrong.transport.send(blastema_contract::transport::Close).await.unwrap();
-        let right = Node::open(cable.right(), 115_200).await;
-        left.send("understood");
+        wrong.transport.close.send(Close).await.unwrap();
+        let right = open(cable.right(), 115_200).await;
+        left.send(Line, "understood");
         assert_eq!(right.frames.wait(|_| true).await.frame, "understood");
     });
 }
@@ -222,19 +174,17 @@ fn a_wrong_speed_is_noise_and_nothing_else_until_it_is_put_right() {
 #[test]
 fn a_slow_line_says_how_much_it_carries_to_whoever_attaches() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let cable = Cable::new();
-        let slow = Node::open(cable.left(), 9_600).await;
+        let slow = open(cable.left(), 9_600).await;
         let expected = TransportReport::Rate { bytes_per_second: 1_920 };
         assert_eq!(slow.reports.expect().await, expected);
 
-        let (frames, reports) = (Probe::<Received>::start(), Probe::start());
-        let attach = Attach::new(frames.recipient(), reports.recipient());
-        slow.transport.do_send(attach);
+        let (_frames, reports) = attach(&slow.transport, ConnectionTrust::Claimed);
         assert!(matches!(reports.expect().await, TransportReport::Opened { .. }));
         assert_eq!(reports.expect().await, expected);
 
-        let fast = Node::open(cable.right(), 50_000_000).await;
+        let fast = open(cable.right(), 50_000_000).await;
         fast.counters().await;
         assert_eq!(fast.reports.recorded(), 0);
     });
@@ -243,15 +193,15 @@ fn a_slow_line_says_how_much_it_carries_to_whoever_attaches() {
 #[test]
 fn a_port_serves_one_program_at_a_time() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let cable = Cable::new();
-        let first = Node::open(cable.left(), 115_200).await;
+        let first = open(cable.left(), 115_200).await;
 
-        let second = Node::at(cable.left(), 115_200);
+        let second = at(cable.left(), 115_200);
         let reason = second.closed().await;
         assert!(reason.contains("another program uses this port"), "{reason}");
 
-        first.transport.send(blastema_contract::transport::Close).await.unwrap();
+        first.transport.close.send(Close).await.unwrap();
         second.opened().await;
     });
 }
@@ -259,14 +209,14 @@ fn a_port_serves_one_program_at_a_time() {
 #[test]
 fn a_slow_line_drops_and_counts_what_it_cannot_carry_and_keeps_nobody_waiting() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let cable = Cable::new();
-        let left = Node::open(cable.left(), 9_600).await;
-        let right = Node::open(cable.right(), 9_600).await;
+        let left = open(cable.left(), 9_600).await;
+        let right = open(cable.right(), 9_600).await;
 
         // A hundred times what the line carries in the time that it may make frames wait.
         for _ in 0..1_000 {
-            left.send(vec![7; 90]);
+            left.send(Line, vec![7; 90]);
         }
         let TransportCounters { sent, dropped, .. } = left.counters().await;
 
@@ -275,7 +225,7 @@ fn a_slow_line_drops_and_counts_what_it_cannot_carry_and_keeps_nobody_waiting() 
         for _ in 0..1_000 - dropped {
             assert_eq!(right.frames.expect().await.frame, vec![7; 90]);
         }
-        left.send("late");
+        left.send(Line, "late");
         assert_eq!(right.frames.expect().await.frame, "late");
     });
 }
@@ -285,11 +235,11 @@ fn what_waits_for_a_slow_line_is_counted_with_the_age_of_the_oldest() {
     let _turn = blastema_doubles::turn();
     paused(async {
         let cable = Cable::new();
-        let left = Node::open(cable.left(), 9_600).await;
-        let _right = Node::open(cable.right(), 9_600).await;
+        let left = open(cable.left(), 9_600).await;
+        let _right = open(cable.right(), 9_600).await;
         assert_eq!(left.counters().await.backlog, TransmitBacklog::default());
 
-        (0..5).for_each(|_| left.send(vec![7; 90]));
+        (0..5).for_each(|_| left.send(Line, vec![7; 90]));
         let first = left.counters().await.backlog;
         advance(Duration::from_millis(20)).await;
         let later = left.counters().await.backlog;
@@ -312,12 +262,12 @@ fn the_line_is_given_no_more_than_its_speed_carries() {
             config
         };
         assert_eq!(config(cable.left()).time_of(400), Duration::from_millis(400));
-        let left = Node::with(config(cable.left()));
-        let right = Node::with(config(cable.right()));
+        let left = with(config(cable.left()));
+        let right = with(config(cable.right()));
         left.opened().await;
         right.opened().await;
 
-        left.send(vec![7; 400]);
+        left.send(Line, vec![7; 400]);
         let mut milliseconds = 0;
         while right.frames.recorded() == 0 && milliseconds < 1_000_000 {
             advance(Duration::from_millis(1)).await;
@@ -335,17 +285,15 @@ fn what_is_urgent_waits_for_one_frame_of_a_full_line_and_no_more() {
     let _turn = blastema_doubles::turn();
     paused(async {
         let cable = Cable::new();
-        let left = Node::open(cable.left(), 9_600).await;
-        let right = Node::open(cable.right(), 9_600).await;
-        let bulk = |number: u8| Transmit::new(MediumAddress::Line, vec![number; 96].into());
+        let left = open(cable.left(), 9_600).await;
+        let right = open(cable.right(), 9_600).await;
 
         // More than there is room for.
-        (0..20).for_each(|number| left.transport.do_send(bulk(number)));
+        (0..20_u8).for_each(|number| left.send(Line, vec![number; 96]));
         let TransportCounters { dropped, .. } = left.counters().await;
         assert!(dropped >= 11, "{dropped} dropped");
         for (lane, frame) in [(FrameLane::Urgent, "acknowledged"), (FrameLane::Hello, "hello")] {
-            let to = MediumAddress::Line;
-            left.transport.do_send(Transmit { to, frame: frame.into(), lane });
+            left.transport.transmit.do_send(Transmit { to: Line, frame: frame.into(), lane });
         }
         let mut came = Vec::new();
         for _ in 0..100_000 {

@@ -1,85 +1,51 @@
 //! What is particular to CAN adapters on serial ports, on a bus of ptys.
 
+use crate::conformance::end::{End, in_real_time};
 use actix::Actor;
-use blastema_contract::transport::{
-    Attach, Close, MediumAddress, ReadCounters, Received, Transmit, Transport, TransportReport,
-};
-use blastema_doubles::Probe;
+use blastema_contract::transport::MediumAddress::Can;
+use blastema_contract::transport::{Close, TransportReport};
 use blastema_ptys::Adapters;
 use blastema_transports::{FrameTransport, SlcanBus, SlcanConfig};
-use std::future::Future;
 
-const ALL: MediumAddress = MediumAddress::Can(255);
-
-struct End {
-    transport: Transport,
-    frames: Probe<Received>,
-    reports: Probe<TransportReport>,
+/// The node with this address, at the adapter with the same number.
+fn at(bus: &Adapters, number: u8) -> End {
+    with(bus, number, |_| {})
 }
 
-impl End {
-    /// The node with this address, at the adapter with the same number.
-    fn new(bus: &Adapters, number: u8) -> Self {
-        Self::with(bus, number, |_| {})
-    }
-
-    fn with(bus: &Adapters, number: u8, change: impl FnOnce(&mut SlcanConfig)) -> Self {
-        let mut config = SlcanConfig::new(bus.port(number));
-        (config.bitrate, config.node.address) = (1_000_000, number);
-        change(&mut config);
-        let bus = SlcanBus::new(config, blastema_doubles::now);
-        let transport = Transport::from(FrameTransport::new(bus).start());
-        let (frames, reports) = (Probe::start(), Probe::start());
-        let (to_frames, to_reports) = (frames.recipient(), reports.recipient());
-        transport.attach.do_send(Attach::new(to_frames, to_reports));
-        End { transport, frames, reports }
-    }
-
-    async fn opened(&self) {
-        self.reports.wait(|report| matches!(report, TransportReport::Opened { .. })).await;
-    }
-
-    async fn closed(&self) -> String {
-        let closed = |report: &TransportReport| matches!(report, TransportReport::Closed { .. });
-        match self.reports.wait(closed).await {
-            TransportReport::Closed { reason } => reason,
-            other => unreachable!("{other:?} was not waited for"),
-        }
-    }
-
-    fn send(&self, to: u8, frame: &'static str) {
-        let to = MediumAddress::Can(to);
-        self.transport.transmit.do_send(Transmit::new(to, frame.into()));
-    }
-
-    async fn expect(&self, from: u8, frame: &'static str) {
-        let received = self.frames.expect().await;
-        assert_eq!(received, Received { from: MediumAddress::Can(from), frame: frame.into() });
-    }
+fn with(bus: &Adapters, number: u8, change: impl FnOnce(&mut SlcanConfig)) -> End {
+    let mut config = SlcanConfig::new(bus.port(number));
+    (config.bitrate, config.node.address) = (1_000_000, number);
+    change(&mut config);
+    End::new(FrameTransport::new(SlcanBus::new(config, blastema_doubles::now)).start())
 }
 
-fn run(test: impl Future<Output = ()>) {
-    actix::System::new().block_on(test);
+/// A bus, and two nodes on it that are open.
+async fn two([one, other]: [u8; 2], change: fn(&mut SlcanConfig)) -> (Adapters, End, End) {
+    let bus = Adapters::new();
+    [one, other].into_iter().for_each(|number| bus.plug(number));
+    let (a, b) = (with(&bus, one, change), with(&bus, other, change));
+    a.opened().await;
+    b.opened().await;
+    (bus, a, b)
 }
 
 #[test]
 fn several_nodes_share_a_bus_and_one_can_speak_to_all() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let bus = Adapters::new();
         (1..=4).for_each(|number| bus.plug(number));
-        let ends: Vec<End> = (1..=4).map(|number| End::new(&bus, number)).collect();
+        let ends: Vec<End> = (1..=4).map(|number| at(&bus, number)).collect();
         for end in &ends {
             end.opened().await;
         }
 
-        ends[0].send(2, "to the second, and in more than one CAN frame");
-        ends[1].expect(1, "to the second, and in more than one CAN frame").await;
-        let all = Transmit::new(ALL, "to all, and in more than one CAN frame".into());
-        ends[3].transport.transmit.do_send(all);
+        ends[0].send(Can(2), "to the second, and in more than one CAN frame");
+        ends[1].expect(Can(1), "to the second, and in more than one CAN frame").await;
+        ends[3].send(Can(255), "to all, and in more than one CAN frame");
 
         for end in &ends[..3] {
-            end.expect(4, "to all, and in more than one CAN frame").await;
+            end.expect(Can(4), "to all, and in more than one CAN frame").await;
         }
         assert!(ends.iter().all(|end| end.frames.recorded() == 0));
     });
@@ -88,31 +54,23 @@ fn several_nodes_share_a_bus_and_one_can_speak_to_all() {
 #[test]
 fn an_adapter_that_answers_nothing_is_used_all_the_same() {
     let _turn = blastema_doubles::turn();
-    run(async {
-        let bus = Adapters::new();
-        [1, 100].into_iter().for_each(|number| bus.plug(number));
-        let (a, b) = (End::new(&bus, 1), End::new(&bus, 100));
-        a.opened().await;
-        b.opened().await;
+    in_real_time(async {
+        let (_bus, a, b) = two([1, 100], |_| {}).await;
 
-        a.send(100, "hello");
-        b.expect(1, "hello").await;
-        b.send(1, "hello, and more of it than a CAN frame carries");
-        a.expect(100, "hello, and more of it than a CAN frame carries").await;
+        a.send(Can(100), "hello");
+        b.expect(Can(1), "hello").await;
+        b.send(Can(1), "hello, and more of it than a CAN frame carries");
+        a.expect(Can(100), "hello, and more of it than a CAN frame carries").await;
     });
 }
 
 #[test]
 fn an_adapter_that_is_unplugged_is_opened_when_it_is_back() {
     let _turn = blastema_doubles::turn();
-    run(async {
-        let bus = Adapters::new();
-        [1, 2].into_iter().for_each(|number| bus.plug(number));
-        let (a, b) = (End::new(&bus, 1), End::new(&bus, 2));
-        a.opened().await;
-        b.opened().await;
-        a.send(2, "before");
-        b.expect(1, "before").await;
+    in_real_time(async {
+        let (bus, a, b) = two([1, 2], |_| {}).await;
+        a.send(Can(2), "before");
+        b.expect(Can(1), "before").await;
 
         bus.unplug(2);
         let reason = b.closed().await;
@@ -120,43 +78,33 @@ fn an_adapter_that_is_unplugged_is_opened_when_it_is_back() {
         bus.plug(2);
         b.opened().await;
 
-        a.send(2, "after");
-        b.expect(1, "after").await;
+        a.send(Can(2), "after");
+        b.expect(Can(1), "after").await;
     });
 }
 
 #[test]
 fn a_target_that_is_not_there_keeps_nobody_else_waiting() {
     let _turn = blastema_doubles::turn();
-    run(async {
-        let bus = Adapters::new();
-        [1, 2].into_iter().for_each(|number| bus.plug(number));
-        let (a, b) = (End::new(&bus, 1), End::new(&bus, 2));
-        a.opened().await;
-        b.opened().await;
+    in_real_time(async {
+        let (_bus, a, b) = two([1, 2], |_| {}).await;
 
-        (0..10).for_each(|_| a.send(9, "no node is there to hear this"));
-        a.send(2, "a node is there to hear this");
+        (0..10).for_each(|_| a.send(Can(9), "no node is there to hear this"));
+        a.send(Can(2), "a node is there to hear this");
 
-        b.expect(1, "a node is there to hear this").await;
-        loop {
-            let counters = a.transport.counters.send(ReadCounters).await.unwrap();
-            if counters.dropped == 10 {
-                break;
-            }
-            tokio::task::yield_now().await;
-        }
+        b.expect(Can(1), "a node is there to hear this").await;
+        a.counted(|counters| counters.dropped == 10).await;
     });
 }
 
 #[test]
 fn what_nobody_can_do_is_refused_with_what_helps() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let bus = Adapters::new();
         bus.plug(1);
         let check = async |change: fn(&mut SlcanConfig), expected: &str| {
-            let reason = End::with(&bus, 1, change).closed().await;
+            let reason = with(&bus, 1, change).closed().await;
             assert!(reason.contains(expected), "{reason}");
         };
         check(|config| config.bitrate = 300_000, "choose 10, 20, 50").await;
@@ -166,55 +114,46 @@ fn what_nobody_can_do_is_refused_with_what_helps() {
             "choose one from 0 to 30",
         )
         .await;
-        check(|config| config.path = "/dev/does-not-exist".into(), "plug the adapter in").await;
+        check(|config| config.path = "/dev/does-not-exist".into(), "plug the device in").await;
     });
 }
 
 #[test]
 fn who_speaks_under_our_address_is_refused_and_the_others_are_heard() {
     let _turn = blastema_doubles::turn();
-    run(async {
-        let bus = Adapters::new();
-        [1, 2].into_iter().for_each(|number| bus.plug(number));
-        let (a, b) = (End::new(&bus, 1), End::new(&bus, 2));
-        a.opened().await;
-        b.opened().await;
+    in_real_time(async {
+        let (bus, a, b) = two([1, 2], |_| {}).await;
 
         // From node 1 to node 2, as node 1 hears it.
         bus.inject(1, b"T18DA02015040102030405\r");
-        b.send(1, "hello");
+        b.send(Can(1), "hello");
 
-        a.expect(2, "hello").await;
-        assert_eq!(a.transport.counters.send(ReadCounters).await.unwrap().refused, 1);
+        a.expect(Can(2), "hello").await;
+        assert_eq!(a.counters().await.refused, 1);
     });
 }
 
 #[test]
 fn nodes_with_short_identifiers_understand_each_other() {
     let _turn = blastema_doubles::turn();
-    run(async {
-        let bus = Adapters::new();
-        [3, 30].into_iter().for_each(|number| bus.plug(number));
-        let short = |number| End::with(&bus, number, |config| config.node.short_ids = true);
-        let (a, b) = (short(3), short(30));
-        a.opened().await;
-        b.opened().await;
+    in_real_time(async {
+        let (_bus, a, b) = two([3, 30], |config| config.node.short_ids = true).await;
 
-        a.send(30, "eleven bits are enough for thirty nodes");
-        b.expect(3, "eleven bits are enough for thirty nodes").await;
-        b.send(255, "all");
-        a.expect(30, "all").await;
+        a.send(Can(30), "eleven bits are enough for thirty nodes");
+        b.expect(Can(3), "eleven bits are enough for thirty nodes").await;
+        b.send(Can(255), "all");
+        a.expect(Can(30), "all").await;
     });
 }
 
 #[test]
 fn who_comes_second_with_an_address_is_silent_until_it_is_free_and_both_are_told() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let bus = Adapters::new();
         (1..=3).for_each(|number| bus.plug(number));
         let named = |number: u8, address: u8, name: &'static str| {
-            End::with(&bus, number, |config| {
+            with(&bus, number, |config| {
                 (config.node.address, config.node.name) = (address, name.into());
             })
         };
@@ -234,26 +173,22 @@ fn who_comes_second_with_an_address_is_silent_until_it_is_free_and_both_are_told
         assert!(reason.starts_with(&port(2)) && reason.contains(lost), "{reason}");
         let kept = "node adder claims the address 7, which this node, zebra, has and keeps: give one of the two another";
         assert!(text.starts_with(&port(1)) && text.contains(kept), "{text}");
-        other.send(7, "to the one who has it");
-        first.expect(9, "to the one who has it").await;
+        other.send(Can(7), "to the one who has it");
+        first.expect(Can(9), "to the one who has it").await;
         assert_eq!(second.frames.recorded(), 0);
 
         first.transport.close.do_send(Close);
         second.opened().await;
-        other.send(7, "to the one who has it now");
-        second.expect(9, "to the one who has it now").await;
+        other.send(Can(7), "to the one who has it now");
+        second.expect(Can(9), "to the one who has it now").await;
     });
 }
 
 #[test]
 fn a_bus_on_which_nobody_confirms_is_reported_once_with_what_to_do_and_stays_open() {
     let _turn = blastema_doubles::turn();
-    run(async {
-        let bus = Adapters::new();
-        [1, 2].into_iter().for_each(|number| bus.plug(number));
-        let (a, b) = (End::new(&bus, 1), End::new(&bus, 2));
-        a.opened().await;
-        b.opened().await;
+    in_real_time(async {
+        let (bus, a, b) = two([1, 2], |_| {}).await;
 
         bus.trouble(1, 0xa0);
         let trouble =
@@ -262,27 +197,21 @@ fn a_bus_on_which_nobody_confirms_is_reported_once_with_what_to_do_and_stays_ope
 
         let TransportReport::NoCarrier { reason } = text else { unreachable!("it was waited for") };
         assert!(reason.contains("check its wires"), "{reason}");
-        a.send(2, "for it is not closed");
-        b.expect(1, "for it is not closed").await;
+        a.send(Can(2), "for it is not closed");
+        b.expect(Can(1), "for it is not closed").await;
     });
 }
 
 #[test]
 fn an_adapter_with_can_fd_carries_frames_of_64_bytes_and_one_without_says_so() {
     let _turn = blastema_doubles::turn();
-    run(async {
-        let bus = Adapters::new();
-        [1, 2].into_iter().for_each(|number| bus.plug(number));
-        let fd = |number| End::with(&bus, number, |config| config.fd = true);
-        let (a, b) = (fd(1), fd(2));
-        a.opened().await;
-        b.opened().await;
-        a.send(2, "more than eight bytes, and less than sixty-four");
-        b.expect(1, "more than eight bytes, and less than sixty-four").await;
+    in_real_time(async {
+        let (bus, a, b) = two([1, 2], |config| config.fd = true).await;
+        a.send(Can(2), "more than eight bytes, and less than sixty-four");
+        b.expect(Can(1), "more than eight bytes, and less than sixty-four").await;
 
         bus.plug(3);
-        let wrong =
-            End::with(&bus, 3, |config| (config.fd, config.data_bitrate) = (true, 3_000_000));
+        let wrong = with(&bus, 3, |config| (config.fd, config.data_bitrate) = (true, 3_000_000));
         let reason = wrong.closed().await;
         assert!(reason.contains("choose 2 or 5 Mbit/s, or leave fd out"), "{reason}");
     });

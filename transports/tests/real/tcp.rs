@@ -1,62 +1,24 @@
 //! What only TCP does.
 
-use actix::prelude::*;
+use crate::conformance::end::{End, in_real_time};
+use crate::conformance::media::ip;
+use actix::Actor;
 use blastema_contract::transport::{
-    Attach, Close, MediumAddress, ReadCounters, Received, Transmit, TransmitBacklog,
-    TransportCounters, TransportReport,
+    Close, MediumAddress, Transmit, TransmitBacklog, TransportCounters, TransportReport,
 };
-use blastema_doubles::{PATIENCE, Probe, now};
+use blastema_doubles::PATIENCE;
 use blastema_transports::tcp::framing::{PREAMBLE, encode_header, encode_preamble};
 use blastema_transports::{Tcp, TcpConfig};
-use std::future::Future;
 use std::net::SocketAddr;
 use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 
-struct Node {
-    transport: Addr<Tcp>,
-    local: SocketAddr,
-    frames: Probe<Received>,
-    reports: Probe<TransportReport>,
-}
-
-impl Node {
-    async fn open(config: TcpConfig) -> Self {
-        let transport = Tcp::new(config).start();
-        let (frames, reports) = (Probe::start(), Probe::start());
-        let attach =
-            Attach { clock: Some(now), ..Attach::new(frames.recipient(), reports.recipient()) };
-        transport.do_send(attach);
-        match reports.expect().await {
-            TransportReport::Opened { local: MediumAddress::Ip(local), .. } => {
-                Node { transport, local, frames, reports }
-            }
-            other => panic!("{other:?}"),
-        }
-    }
-
-    fn send(&self, to: SocketAddr, frame: &'static str) {
-        self.transport.do_send(Transmit::new(MediumAddress::Ip(to), frame.into()));
-    }
-
-    async fn counters(&self) -> TransportCounters {
-        self.transport.send(ReadCounters).await.unwrap()
-    }
-
-    async fn counted(&self, wanted: impl Fn(&TransportCounters) -> bool) {
-        let counted = async {
-            while !wanted(&self.counters().await) {
-                tokio::task::yield_now().await;
-            }
-        };
-        let waited = tokio::time::timeout(PATIENCE, counted).await;
-        assert!(waited.is_ok(), "{:?}", self.counters().await);
-    }
-}
-
-fn run(test: impl Future<Output = ()>) {
-    actix_rt::System::new().block_on(test);
+/// An end that is open, and where.
+async fn open(config: TcpConfig) -> (End, SocketAddr) {
+    let end = End::new(Tcp::new(config).start());
+    let at = ip(&end.opened().await.0);
+    (end, at)
 }
 
 /// A peer made by hand: it has introduced itself as listening on `port`, and was kept.
@@ -82,9 +44,9 @@ async fn thrown_out(mut stream: TcpStream) {
 #[test]
 fn a_peer_is_known_by_where_it_listens_and_answered_on_its_own_connection() {
     let _turn = blastema_doubles::turn();
-    run(async {
-        let node = Node::open(TcpConfig::default()).await;
-        let mut peer = handmade(node.local, 7400).await;
+    in_real_time(async {
+        let (node, at) = open(TcpConfig::default()).await;
+        let mut peer = handmade(at, 7400).await;
         let known: SocketAddr = "127.0.0.1:7400".parse().unwrap();
 
         peer.write_all(b"\0\0\0\x05hello").await.unwrap();
@@ -100,17 +62,17 @@ fn a_peer_is_known_by_where_it_listens_and_answered_on_its_own_connection() {
 #[test]
 fn two_who_dial_each_other_at_once_end_up_with_one_connection() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         for _ in 0..50 {
-            let a = Node::open(TcpConfig::default()).await;
-            let b = Node::open(TcpConfig::default()).await;
+            let (a, at_a) = open(TcpConfig::default()).await;
+            let (b, at_b) = open(TcpConfig::default()).await;
 
-            a.send(b.local, "from a");
-            b.send(a.local, "from b");
+            a.send(at_b, "from a");
+            b.send(at_a, "from b");
             assert_eq!(a.frames.expect().await.frame, "from b");
             assert_eq!(b.frames.expect().await.frame, "from a");
-            a.send(b.local, "again from a");
-            b.send(a.local, "again from b");
+            a.send(at_b, "again from a");
+            b.send(at_a, "again from b");
             assert_eq!(a.frames.expect().await.frame, "again from b");
             assert_eq!(b.frames.expect().await.frame, "again from a");
 
@@ -118,7 +80,7 @@ fn two_who_dial_each_other_at_once_end_up_with_one_connection() {
                 assert!(node.reports.drain().is_empty(), "no connection was lost");
                 let TransportCounters { sent, dropped, refused, .. } = node.counters().await;
                 assert_eq!((sent, dropped, refused), (2, 0, 0));
-                node.transport.send(Close).await.unwrap();
+                node.transport.close.send(Close).await.unwrap();
             }
         }
     });
@@ -127,9 +89,9 @@ fn two_who_dial_each_other_at_once_end_up_with_one_connection() {
 #[test]
 fn what_waits_for_a_peer_that_does_not_answer_is_counted_with_the_age_of_the_oldest() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let silent = TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let node = Node::open(TcpConfig::default()).await;
+        let (node, _) = open(TcpConfig::default()).await;
         assert_eq!(node.counters().await.backlog, TransmitBacklog::default());
 
         for frame in ["a", "b", "c"] {
@@ -146,13 +108,13 @@ fn what_waits_for_a_peer_that_does_not_answer_is_counted_with_the_age_of_the_old
 #[test]
 fn a_stranger_who_says_nothing_is_thrown_out_and_counted() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let mut config = TcpConfig::default();
         config.hello_timeout = Duration::from_millis(10);
-        let node = Node::open(config).await;
+        let (node, at) = open(config).await;
 
-        let silent = TcpStream::connect(node.local).await.unwrap();
-        let mut halting = TcpStream::connect(node.local).await.unwrap();
+        let silent = TcpStream::connect(at).await.unwrap();
+        let mut halting = TcpStream::connect(at).await.unwrap();
         halting.write_all(&encode_preamble(7400)[..PREAMBLE - 1]).await.unwrap();
 
         thrown_out(silent).await;
@@ -165,9 +127,9 @@ fn a_stranger_who_says_nothing_is_thrown_out_and_counted() {
 #[test]
 fn a_peer_that_announces_too_much_is_thrown_out_counted_and_reported() {
     let _turn = blastema_doubles::turn();
-    run(async {
-        let node = Node::open(TcpConfig::default()).await;
-        let mut peer = handmade(node.local, 7400).await;
+    in_real_time(async {
+        let (node, at) = open(TcpConfig::default()).await;
+        let mut peer = handmade(at, 7400).await;
 
         peer.write_all(b"\0\0\0\x02ok").await.unwrap();
         assert_eq!(node.frames.expect().await.frame, "ok");
@@ -183,14 +145,14 @@ fn a_peer_that_announces_too_much_is_thrown_out_counted_and_reported() {
 #[test]
 fn there_are_never_more_peers_than_configured() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let mut config = TcpConfig::default();
         config.peers = 2;
-        let node = Node::open(config).await;
-        let mut first = handmade(node.local, 7401).await;
-        let second = handmade(node.local, 7402).await;
+        let (node, at) = open(config).await;
+        let mut first = handmade(at, 7401).await;
+        let second = handmade(at, 7402).await;
 
-        let mut third = TcpStream::connect(node.local).await.unwrap();
+        let mut third = TcpStream::connect(at).await.unwrap();
         third.write_all(&encode_preamble(7403)).await.unwrap();
         thrown_out(third).await;
         node.counted(|counters| counters.refused == 1).await;
@@ -200,18 +162,18 @@ fn there_are_never_more_peers_than_configured() {
         // A place that becomes free is given away.
         drop(second);
         assert!(matches!(node.reports.expect().await, TransportReport::PeerLost { .. }));
-        handmade(node.local, 7403).await;
+        handmade(at, 7403).await;
     });
 }
 
 #[test]
 fn a_peer_that_comes_anew_replaces_its_old_connection() {
     let _turn = blastema_doubles::turn();
-    run(async {
-        let node = Node::open(TcpConfig::default()).await;
-        let old = handmade(node.local, 7400).await;
+    in_real_time(async {
+        let (node, at) = open(TcpConfig::default()).await;
+        let old = handmade(at, 7400).await;
 
-        let mut new = handmade(node.local, 7400).await;
+        let mut new = handmade(at, 7400).await;
 
         assert!(matches!(node.reports.expect().await, TransportReport::PeerLost { .. }));
         thrown_out(old).await;
@@ -223,10 +185,10 @@ fn a_peer_that_comes_anew_replaces_its_old_connection() {
 #[test]
 fn frames_to_one_who_listens_and_says_nothing_are_dropped_and_counted() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let mut config = TcpConfig::default();
         config.connect_timeout = Duration::from_millis(20);
-        let node = Node::open(config).await;
+        let (node, _) = open(config).await;
         let deaf = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let deaf = (deaf.local_addr().unwrap(), deaf);
 
@@ -241,16 +203,16 @@ fn frames_to_one_who_listens_and_says_nothing_are_dropped_and_counted() {
 #[test]
 fn what_waits_for_a_peer_that_does_not_read_is_bounded() {
     let _turn = blastema_doubles::turn();
-    run(async {
+    in_real_time(async {
         let mut config = TcpConfig::default();
         config.queue_bytes = 64 * 1024;
-        let node = Node::open(config).await;
-        let _peer = handmade(node.local, 7400).await;
+        let (node, at) = open(config).await;
+        let _peer = handmade(at, 7400).await;
         let known = MediumAddress::Ip("127.0.0.1:7400".parse().unwrap());
 
         for _ in 0..1000 {
             let frame = vec![7; 32 * 1024].into();
-            node.transport.send(Transmit::new(known.clone(), frame)).await.unwrap();
+            node.transport.transmit.send(Transmit::new(known.clone(), frame)).await.unwrap();
         }
 
         let TransportCounters { sent, dropped, .. } = node.counters().await;

@@ -1,41 +1,34 @@
 //! What only UDP does.
 
-use actix::prelude::*;
-use blastema_contract::transport::{
-    Attach, MediumAddress, ReadCounters, Received, Transmit, TransportReport,
-};
-use blastema_doubles::Probe;
+use crate::conformance::end::{End, in_real_time};
+use crate::conformance::media::ip;
+use actix::Actor;
+use blastema_contract::transport::{MediumAddress, TransportReport};
 use blastema_transports::{Udp, UdpConfig};
 use std::net::{SocketAddr, UdpSocket};
 
-async fn open(config: UdpConfig) -> (Addr<Udp>, SocketAddr, Probe<Received>) {
-    let transport = Udp::new(config).start();
-    let (frames, reports) = (Probe::start(), Probe::start());
-    let attach = Attach::new(frames.recipient(), reports.recipient());
-    transport.do_send(attach);
-    match reports.expect().await {
-        TransportReport::Opened { local: MediumAddress::Ip(local), .. } => {
-            (transport, local, frames)
-        }
-        other => panic!("{other:?}"),
-    }
+/// An end that is open, and where.
+async fn open(config: UdpConfig) -> (End, SocketAddr) {
+    let end = End::new(Udp::new(config).start());
+    let at = ip(&end.opened().await.0);
+    (end, at)
 }
 
 #[test]
 fn a_datagram_above_the_limit_is_refused_whole() {
     let _turn = blastema_doubles::turn();
-    actix_rt::System::new().block_on(async {
+    in_real_time(async {
         let mut config = UdpConfig::default();
         config.mtu = Some(100);
-        let (transport, local, frames) = open(config).await;
+        let (end, local) = open(config).await;
         let peer = UdpSocket::bind("127.0.0.1:0").unwrap();
 
         for length in [101, 102, 65_507, 100] {
             peer.send_to(&vec![7; length], local).unwrap();
         }
 
-        assert_eq!(frames.expect().await.frame, vec![7; 100]);
-        let counters = transport.send(ReadCounters).await.unwrap();
+        assert_eq!(end.frames.expect().await.frame, vec![7; 100]);
+        let counters = end.counters().await;
         assert_eq!((counters.refused, counters.received), (3, 1));
     });
 }
@@ -43,19 +36,19 @@ fn a_datagram_above_the_limit_is_refused_whole() {
 #[test]
 fn peers_who_do_not_listen_or_cannot_be_reached_keep_nobody_from_the_others() {
     let _turn = blastema_doubles::turn();
-    actix_rt::System::new().block_on(async {
-        let (transport, local, frames) = open(UdpConfig::default()).await;
+    in_real_time(async {
+        let (end, local) = open(UdpConfig::default()).await;
         // Bound and let go: no socket listens there. The other is of a family that the socket
         // cannot.
         let deaf = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
         let foreign: SocketAddr = "[::1]:7400".parse().unwrap();
 
         for to in [deaf, foreign, deaf, foreign, local] {
-            transport.do_send(Transmit::new(MediumAddress::Ip(to), "hello".into()));
+            end.send(to, "hello");
         }
 
-        assert_eq!(frames.expect().await.from, MediumAddress::Ip(local));
-        let counters = transport.send(ReadCounters).await.unwrap();
+        assert_eq!(end.frames.expect().await.from, MediumAddress::Ip(local));
+        let counters = end.counters().await;
         assert_eq!((counters.sent, counters.dropped, counters.errors), (3, 2, 2));
     });
 }
@@ -63,15 +56,11 @@ fn peers_who_do_not_listen_or_cannot_be_reached_keep_nobody_from_the_others() {
 #[test]
 fn the_limit_fits_the_medium_unless_told() {
     let _turn = blastema_doubles::turn();
-    actix_rt::System::new().block_on(async {
+    in_real_time(async {
         let check = async |bind: &str, expected: (usize, bool)| {
             let mut config = UdpConfig::default();
             config.bind = bind.parse().unwrap();
-            let transport = Udp::new(config).start();
-            let (frames, reports) = (Probe::start(), Probe::start());
-            let attach = Attach::new(frames.recipient(), reports.recipient());
-            transport.do_send(attach);
-            match reports.expect().await {
+            match End::new(Udp::new(config).start()).reports.expect().await {
                 TransportReport::Opened { mtu, is_probed, .. } => {
                     assert_eq!((mtu, is_probed), expected);
                 }
@@ -98,60 +87,53 @@ fn hearing(group: SocketAddr) -> UdpConfig {
 #[test]
 fn one_frame_to_a_group_reaches_all_others_who_hear_it_and_they_can_answer() {
     let _turn = blastema_doubles::turn();
-    actix_rt::System::new().block_on(async {
+    in_real_time(async {
         let group = group();
-        let (a, at_a, to_a) = open(hearing(group)).await;
-        let (b, _, to_b) = open(hearing(group)).await;
-        let (_c, _, to_c) = open(hearing(group)).await;
+        let (a, at_a) = open(hearing(group)).await;
+        let (b, at_b) = open(hearing(group)).await;
+        let (c, _) = open(hearing(group)).await;
 
-        a.do_send(Transmit::new(MediumAddress::Ip(group), "who is there".into()));
-        let heard = to_b.expect().await;
-        assert_eq!((heard.from, &heard.frame[..]), (MediumAddress::Ip(at_a), &b"who is there"[..]));
-        assert_eq!(to_c.expect().await.from, MediumAddress::Ip(at_a));
+        a.send(group, "who is there");
+        b.expect(at_a, "who is there").await;
+        c.expect(at_a, "who is there").await;
 
-        b.do_send(Transmit::new(MediumAddress::Ip(at_a), "b is".into()));
-        assert_eq!(to_a.expect().await.frame, "b is", "and not what a has said itself");
-        assert_eq!(to_c.recorded(), 0);
+        b.send(at_a, "b is");
+        // And not what it has said itself.
+        a.expect(at_b, "b is").await;
+        assert_eq!(c.frames.recorded(), 0);
     });
 }
 
 #[test]
 fn who_does_not_hear_the_group_is_left_alone() {
     let _turn = blastema_doubles::turn();
-    actix_rt::System::new().block_on(async {
+    in_real_time(async {
         let (ours, theirs) = (group(), group());
-        let (a, _, _to_a) = open(hearing(ours)).await;
-        let (_b, at_b, to_b) = open(hearing(theirs)).await;
+        let (a, at_a) = open(hearing(ours)).await;
+        let (b, at_b) = open(hearing(theirs)).await;
 
-        a.do_send(Transmit::new(MediumAddress::Ip(ours), "to no peer".into()));
-        a.do_send(Transmit::new(MediumAddress::Ip(at_b), "to b".into()));
+        a.send(ours, "to no peer");
+        a.send(at_b, "to b");
 
-        assert_eq!(to_b.expect().await.frame, "to b");
+        b.expect(at_a, "to b").await;
     });
 }
 
 #[test]
 fn an_interface_binds_a_socket_to_it_and_one_that_is_missing_is_named() {
     let _turn = blastema_doubles::turn();
-    actix_rt::System::new().block_on(async {
+    in_real_time(async {
         let on = |interface: &str| {
             let mut config = UdpConfig::default();
             config.interface = Some(interface.into());
             config
         };
-        let (a, _, _to_a) = open(on("lo")).await;
-        let (_b, at_b, to_b) = open(on("lo")).await;
-        a.do_send(Transmit::new(MediumAddress::Ip(at_b), "hello".into()));
-        assert_eq!(to_b.expect().await.frame, "hello");
+        let (a, at_a) = open(on("lo")).await;
+        let (b, at_b) = open(on("lo")).await;
+        a.send(at_b, "hello");
+        b.expect(at_a, "hello").await;
 
-        let (frames, reports) = (Probe::<Received>::start(), Probe::start());
-        let attach = Attach::new(frames.recipient(), reports.recipient());
-        Udp::new(on("firewire9")).start().do_send(attach);
-        match reports.expect().await {
-            TransportReport::Closed { reason } => {
-                assert!(reason.contains("on firewire9") && reason.contains("no such"), "{reason}");
-            }
-            other => panic!("{other:?}"),
-        }
+        let reason = End::new(Udp::new(on("firewire9")).start()).closed().await;
+        assert!(reason.contains("on firewire9") && reason.contains("no such"), "{reason}");
     });
 }

@@ -95,7 +95,7 @@ impl FrameMedium for SlowLine {
 }
 
 struct End {
-    bundle: RefCell<LinkSet>,
+    links: RefCell<LinkSet>,
     session: RefCell<Session>,
     transport: Transport,
     frames: Probe<Received>,
@@ -117,15 +117,15 @@ impl End {
         let (frames, reports) = (Probe::start(), Probe::start());
         let (to_frames, to_reports) = (frames.recipient(), reports.recipient());
         transport.attach.do_send(Attach::new(to_frames, to_reports));
-        let mut bundle = LinkSet::default();
+        let mut links = LinkSet::default();
         let [name, other] = [name, other].map(|name| NodeName::new(name).unwrap());
         let config = LinkConfig::new(name.clone(), Incarnation(1));
-        bundle.insert(LINK, Link::new(config, now()));
-        bundle.handle_mtu(mtu, false);
-        bundle.handle_rate(rate);
+        links.insert(LINK, Link::new(config, now()));
+        links.handle_mtu(mtu, false);
+        links.handle_rate(rate);
         let session = Session::new(SessionConfig::new(name, Incarnation(1), other), now());
         End {
-            bundle: RefCell::new(bundle),
+            links: RefCell::new(links),
             session: RefCell::new(session),
             transport,
             frames,
@@ -159,18 +159,18 @@ impl End {
     }
 
     fn carry_on(&self) {
-        let (mut bundle, mut session) = (self.bundle.borrow_mut(), self.session.borrow_mut());
+        let (mut links, mut session) = (self.links.borrow_mut(), self.session.borrow_mut());
         for Received { frame, .. } in self.frames.drain() {
-            bundle.get_mut(LINK).unwrap().handle_frame(frame, now());
+            links.get_mut(LINK).unwrap().handle_frame(frame, now());
         }
-        if bundle.poll_timeout().is_some_and(|due| due <= now()) {
-            bundle.handle_timeout(now());
+        if links.poll_timeout().is_some_and(|due| due <= now()) {
+            links.handle_timeout(now());
         }
         if session.poll_timeout().is_some_and(|due| due <= now()) {
             session.handle_timeout(now());
         }
         loop {
-            if let Some(output) = bundle.poll_output() {
+            if let Some(output) = links.poll_output() {
                 match output {
                     LinkSetOutput::Of(_, LinkOutput::Transmit(frame)) => self.send(frame),
                     LinkSetOutput::Of(_, LinkOutput::Changed { state, .. }) => {
@@ -192,7 +192,7 @@ impl End {
             match session.poll_output() {
                 Some(SessionOutput::Transmit { class, segment, .. }) => {
                     let packet = packet(class, segment).parcel();
-                    bundle.get_mut(LINK).unwrap().handle_packet(packet);
+                    links.get_mut(LINK).unwrap().handle_packet(packet);
                 }
                 Some(SessionOutput::Message { message, .. }) => {
                     self.came.borrow_mut().push(message);
@@ -237,8 +237,8 @@ fn flood(size: usize) {
 
         for end in &ends {
             assert_eq!(*end.states.borrow(), [LinkState::Up], "up once, and never suspect");
-            let bundle = end.bundle.borrow();
-            let link = bundle.get(LINK).unwrap();
+            let links = end.links.borrow();
+            let link = links.get(LINK).unwrap();
             assert_eq!(link.quality().loss_permille, 0);
             assert!(link.hello_interval() < Duration::from_millis(600));
         }

@@ -101,7 +101,7 @@ pub(crate) trait ZenohReader: Send + Sync {
 pub(crate) enum ZenohState {
     /// It is not open.
     Closed,
-    /// It opens.
+    /// The session is being opened.
     Opening,
     /// It could not be opened: why, and what to do.
     Failed(String),

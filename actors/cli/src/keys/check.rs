@@ -13,9 +13,8 @@ use serde_json::{Value, json};
 /// # Errors
 /// No node was reached, or a file or the command line is wrong.
 pub(super) fn run(options: &KeysCheckOptions) -> Result<bool, String> {
-    let key = OperatorKey::read(OperatorKey::file_of(&options.operator)?)?;
-    let answers = blastema::run(async {
-        let session = OperatorSession::open(&key, &options.to, &options.operator).await?;
+    let key = OperatorKey::of(&options.operator)?;
+    let ask = async |session: &OperatorSession| {
         let mut answers = Vec::new();
         for listed in key.others() {
             let answer = match session.reaches(&listed.name).await {
@@ -27,9 +26,9 @@ pub(super) fn run(options: &KeysCheckOptions) -> Result<bool, String> {
             };
             answers.push((listed, answer));
         }
-        session.close().await;
-        Ok::<_, String>(answers)
-    })?;
+        Ok(answers)
+    };
+    let answers = OperatorSession::run(&key, &options.to, &options.operator, ask)?;
     let serials = answers.iter().filter_map(|(_, answer)| Some(answer.as_ref().ok()?.serial));
     let newest = serials.chain([key.roster.serial]).max().expect("there is our own");
     let rows: Vec<_> = answers.iter().map(|(listed, answer)| row(listed, answer, newest)).collect();

@@ -1,7 +1,7 @@
 //! `--push`: hands a changed roster over to a node that runs.
 
 use super::files::{Existing, PUBLIC, write};
-use crate::args::PushOptions;
+use crate::args::{NodeAddress, OperatorOptions, PushOptions};
 use crate::operator::{OperatorKey, OperatorSession, roster_beside};
 use crate::print;
 use blastema::core::net::trust::roster::NodeRoster;
@@ -13,7 +13,8 @@ const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// What is to be handed over to whom, as far as it can be checked before anything is changed.
 pub(super) struct RosterPush<'a> {
-    options: &'a PushOptions,
+    to: &'a NodeAddress,
+    operator: &'a OperatorOptions,
     key: PathBuf,
 }
 
@@ -21,13 +22,10 @@ impl<'a> RosterPush<'a> {
     /// # Errors
     /// No key of an operator is named.
     pub(super) fn of(options: &'a PushOptions) -> Result<Option<Self>, String> {
-        if options.push.is_none() {
-            return Ok(None);
-        }
+        let PushOptions { push: Some(to), operator } = options else { return Ok(None) };
         // It is used after the change: a mistake in it must change nothing.
-        let key = OperatorKey::file_of(&options.operator)?;
-        OperatorKey::read(key.clone())?;
-        Ok(Some(RosterPush { options, key }))
+        let key = OperatorKey::of(operator)?.file;
+        Ok(Some(RosterPush { to, operator, key }))
     }
 
     /// Hands the roster over, and waits until the node uses it. Returns whether it does.
@@ -45,42 +43,41 @@ impl<'a> RosterPush<'a> {
             // The operator's own node uses it, and gives it to the other one.
             write(&beside, text, PUBLIC, Existing::Replace)?;
         }
-        let to = self.options.push.as_ref().expect("it was checked");
-        match blastema::run(self.wait(roster.serial)) {
+        let NodeAddress { node, address } = self.to;
+        match self.wait(roster.serial) {
             Ok(()) => {
-                let (node, serial) = (&to.node, roster.serial);
+                let serial = roster.serial;
                 print(&format!("{node} has roster {serial}, and gives it to the others\n"))?;
                 Ok(true)
             }
             Err(why) => {
                 print(&format!(
                     "the roster was changed and signed, and was not handed over: {why}; then run \
-                     `blastema keys check {}@{}`, which hands it over as well\n",
-                    to.node, to.address
+                     `blastema keys check {node}@{address}`, which hands it over as well\n"
                 ))?;
                 Ok(false)
             }
         }
     }
 
-    async fn wait(&self, serial: u64) -> Result<(), String> {
-        let key = OperatorKey::read(self.key.clone())?;
-        let to = self.options.push.as_ref().expect("it was checked");
-        let session = OperatorSession::open(&key, to, &self.options.operator).await?;
-        let until = Instant::now() + session.within;
-        let outcome = loop {
-            let asked = session.node.key_status_of(&to.node, session.within).await;
-            match asked {
-                Ok(status) if status.serial >= serial => break Ok(()),
-                Ok(status) if Instant::now() >= until => {
-                    break Err(format!("{} still uses roster {}", to.node, status.serial));
+    fn wait(&self, serial: u64) -> Result<(), String> {
+        let to = &self.to.node;
+        let wait = async |session: &OperatorSession| {
+            let until = Instant::now() + session.within;
+            loop {
+                let asked = session.node.key_status_of(to, session.within).await;
+                let status = asked.map_err(|error| error.to_string())?;
+                if status.serial >= serial {
+                    return Ok(());
                 }
-                Ok(_) => {}
-                Err(error) => break Err(error.to_string()),
+                if Instant::now() >= until {
+                    return Err(format!("{to} still uses roster {}", status.serial));
+                }
+                tokio::time::sleep(POLL_INTERVAL).await;
             }
-            tokio::time::sleep(POLL_INTERVAL).await;
         };
-        session.close().await;
-        outcome
+        // With the roster that is beside it now.
+        let key = OperatorKey::of(self.operator)?;
+        OperatorSession::run(&key, self.to, self.operator, wait)
     }
 }

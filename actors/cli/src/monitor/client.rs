@@ -29,7 +29,7 @@ pub(crate) fn no_node(path: &Path, reason: &str) -> String {
 /// The snapshot of a node: as received, and as a document.
 pub(crate) struct ReceivedSnapshot {
     pub(crate) text: String,
-    pub(crate) picture: Value,
+    pub(crate) snapshot: Value,
 }
 
 /// The process at the other end of the socket.
@@ -98,22 +98,22 @@ fn read(bytes: Vec<u8>) -> Result<ReceivedSnapshot, String> {
         return Err(format!("more than {LONGEST} bytes"));
     }
     let text = String::from_utf8(bytes).map_err(|_| "what is no text".to_owned())?;
-    let picture: Value = serde_json::from_str(&text)
+    let snapshot: Value = serde_json::from_str(&text)
         .map_err(|error| format!("what is no JSON document ({error})"))?;
-    match lacking(&picture) {
-        None => Ok(ReceivedSnapshot { text, picture }),
+    match lacking(&snapshot) {
+        None => Ok(ReceivedSnapshot { text, snapshot }),
         Some(lacking) => Err(format!("a document without {lacking:?}")),
     }
 }
 
 /// Returns a required key that the snapshot lacks.
-fn lacking(picture: &Value) -> Option<&'static str> {
+fn lacking(snapshot: &Value) -> Option<&'static str> {
     let known = |part: &Value| part.is_array() || part.is_null();
-    let has = |key: &str, is: fn(&Value) -> bool| picture.get(key).is_some_and(is);
+    let has = |key: &str, is: fn(&Value) -> bool| snapshot.get(key).is_some_and(is);
     let texts = ["node", "state"].into_iter().find(|key| !has(key, Value::is_string));
     let number = (!has("incarnation", Value::is_u64)).then_some("incarnation");
     let parts = ["table", "threads", "links", "faults"].into_iter();
-    texts.or(number).or(parts.into_iter().find(|key| !picture.get(*key).is_some_and(known)))
+    texts.or(number).or(parts.into_iter().find(|key| !snapshot.get(*key).is_some_and(known)))
 }
 
 /// Describes why no connection is possible.

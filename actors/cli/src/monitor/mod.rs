@@ -16,7 +16,7 @@ pub(crate) fn run(options: &MonitorOptions) -> Result<(), String> {
     for path in &options.sockets {
         let seen = blastema::run(look(path, options.within))?;
         let colour = if io::stdout().is_terminal() { Colour::Ansi } else { Colour::Plain };
-        let shown = if options.json { seen.text } else { tables::draw(&seen.picture, colour) };
+        let shown = if options.json { seen.text } else { tables::draw(&seen.snapshot, colour) };
         crate::print(&shown)?;
     }
     Ok(())

@@ -73,14 +73,14 @@ impl Colour {
 
 /// Returns the snapshot as text. An unknown value is a dash. Empty tables are left out; a table of
 /// a part that has not answered says so. What is insecure is red.
-pub(crate) fn draw(picture: &Value, colour: Colour) -> String {
+pub(crate) fn draw(snapshot: &Value, colour: Colour) -> String {
     let mut text =
-        format!("{} {}", cell("", &picture["node"], WIDEST), cell("", &picture["state"], WIDEST));
-    if let Some(reason) = picture["reason"].as_str() {
+        format!("{} {}", cell("", &snapshot["node"], WIDEST), cell("", &snapshot["state"], WIDEST));
+    if let Some(reason) = snapshot["reason"].as_str() {
         let _ = write!(text, ": {}", plain(reason));
     }
     text.push('\n');
-    for network in picture["networks"].as_array().into_iter().flatten() {
+    for network in snapshot["networks"].as_array().into_iter().flatten() {
         if network["insecure"] == true {
             let name = cell("", &network["network"], WIDEST);
             let line = format!("INSECURE: every station on network {name} can command this robot");
@@ -90,10 +90,10 @@ pub(crate) fn draw(picture: &Value, colour: Colour) -> String {
     for described in TABLES {
         let (named, columns) = described.split_once(": ").unwrap_or((described, ""));
         let (title, name) = parts(named);
-        if picture.get(&*name).is_some_and(Value::is_null) {
+        if snapshot.get(&*name).is_some_and(Value::is_null) {
             let _ = write!(text, "\n{title}: not answered\n");
         }
-        let rows = picture[&*name].as_array().map(Vec::as_slice).unwrap_or_default();
+        let rows = snapshot[&*name].as_array().map(Vec::as_slice).unwrap_or_default();
         if !rows.is_empty() {
             let _ = writeln!(text, "\n{title}");
             // Each row is one line, below that of the headings.
@@ -173,7 +173,7 @@ mod tests {
 
     #[test]
     fn each_table_is_aligned_and_what_is_unknown_is_a_dash() {
-        let picture = json!({
+        let snapshot = json!({
             "node": "module1", "state": "running", "reason": null,
             "global_names": [
                 { "name": "map", "node": "module1", "object": "slam", "epoch": 7, "age_ms": 0.25 },
@@ -260,9 +260,9 @@ dead letters
 
 faults: not answered
 ";
-        assert_eq!(draw(&picture, Colour::Plain), text);
+        assert_eq!(draw(&snapshot, Colour::Plain), text);
 
-        let coloured = draw(&picture, Colour::Ansi);
+        let coloured = draw(&snapshot, Colour::Ansi);
         let red: Vec<&str> = coloured.lines().filter(|line| line.starts_with("\x1b[31m")).collect();
         assert!(red.iter().all(|line| line.ends_with("\x1b[0m")), "{red:?}");
         assert!(red[0].contains("INSECURE") && red[1].contains(" lan "), "{red:?}");

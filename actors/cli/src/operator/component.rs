@@ -55,7 +55,7 @@ fn give(verb: OrderVerb, name: Option<&str>, to: &OrderOptions) -> Result<OrderR
     let order = ComponentOrder { verb, name: name.map(str::to_owned) };
     let reply = match (&to.socket, &to.via) {
         (Some(socket), _) => blastema::run(by_socket(socket, &order, to.operator.within))?,
-        (None, Some(via)) => blastema::run(by_network(via, order, to))?,
+        (None, Some(via)) => by_network(via, order, to)?,
         (None, None) => return Err("name the node by --socket or --via".to_owned()),
     };
     match (&reply.refused, name) {
@@ -93,23 +93,18 @@ fn is_snapshot(bytes: &[u8]) -> bool {
     serde_json::from_slice(bytes).is_ok_and(|json: serde_json::Value| json.get("node").is_some())
 }
 
-async fn by_network(
+fn by_network(
     via: &NodeAddress,
     order: ComponentOrder,
     to: &OrderOptions,
 ) -> Result<OrderReply, String> {
-    let key = OperatorKey::read(OperatorKey::file_of(&to.operator)?)?;
-    let session = OperatorSession::open(&key, via, &to.operator).await?;
     let node = to.node.as_ref().unwrap_or(&via.node);
-    let reply = async {
+    OperatorSession::run(&OperatorKey::of(&to.operator)?, via, &to.operator, async |session| {
         let name = NodeName::new(node).map_err(|error| error.to_string())?;
         if !session.reaches(&name).await {
             return Err(format!("{node} is not reached by way of {}", via.node));
         }
         let reply = session.node.order_at(node, order, session.within).await;
         reply.map_err(|error| format!("{node}: {error}"))
-    };
-    let reply = reply.await;
-    session.close().await;
-    reply
+    })
 }

@@ -11,17 +11,13 @@ use blastema::core::net::trust::policy::Role;
 pub(crate) fn run(job: &NodeJob) -> Result<bool, String> {
     let (NodeJob::Isolate(options) | NodeJob::Admit(options)) = job;
     let isolated = matches!(job, NodeJob::Isolate(_));
-    let key = OperatorKey::read(OperatorKey::file_of(&options.operator)?)?;
+    let key = OperatorKey::of(&options.operator)?;
     let node = options.node.as_str();
     if options.via.node == node {
         return Err(format!("{node} does not isolate itself: connect to another node by --via"));
     }
-    if !key.others().any(|listed| listed.name.as_str() == node) {
-        let names: Vec<_> = key.others().map(|listed| listed.name.as_str()).collect();
-        return Err(format!("{node} is not in the roster, which lists {}", names.join(", ")));
-    }
-    let (all_done, text) = blastema::run(async {
-        let session = OperatorSession::open(&key, &options.via, &options.operator).await?;
+    key.check_listed(node)?;
+    let orders = async |session: &OperatorSession| {
         let (mut all_done, mut text) = (true, String::new());
         for to in key.others().filter(|to| to.name.as_str() != node && to.role != Role::Guest) {
             let (name, reason, within) = (to.name.as_str(), &options.reason, session.within);
@@ -41,8 +37,8 @@ pub(crate) fn run(job: &NodeJob) -> Result<bool, String> {
                 Err(why) => format!("{name}: nothing was changed: {why}\n"),
             };
         }
-        session.close().await;
-        Ok::<_, String>((all_done, text))
-    })?;
+        Ok((all_done, text))
+    };
+    let (all_done, text) = OperatorSession::run(&key, &options.via, &options.operator, orders)?;
     crate::print(&text).map(|()| all_done)
 }

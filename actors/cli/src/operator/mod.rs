@@ -26,27 +26,23 @@ const OTHERS_WITHIN: Duration = Duration::from_secs(3);
 
 /// The key of the operator, and the roster beside it.
 pub(crate) struct OperatorKey {
-    file: PathBuf,
+    pub(crate) file: PathBuf,
     own: NodeName,
     /// The list of nodes.
     pub(crate) roster: NodeRoster,
 }
 
 impl OperatorKey {
-    /// The file that is named here, or by the environment.
-    pub(crate) fn file_of(options: &OperatorOptions) -> Result<PathBuf, String> {
-        let of_environment = || env::var_os(KEYS_VARIABLE).filter(|path| !path.is_empty());
-        let file = options.keys.clone().or_else(|| of_environment().map(PathBuf::from));
-        file.ok_or_else(|| {
-            format!("no key of an operator is named: name it by --keys FILE, or by {KEYS_VARIABLE}")
-        })
-    }
-
-    /// Reads both.
+    /// Reads the file that is named here, or by the environment, and the roster beside it.
     ///
     /// # Errors
     /// What is wrong, in which file, and what to do.
-    pub(crate) fn read(file: PathBuf) -> Result<Self, String> {
+    pub(crate) fn of(options: &OperatorOptions) -> Result<Self, String> {
+        let of_environment = || env::var_os(KEYS_VARIABLE).filter(|path| !path.is_empty());
+        let file = options.keys.clone().or_else(|| of_environment().map(PathBuf::from));
+        let file = file.ok_or_else(|| {
+            format!("no key of an operator is named: name it by --keys FILE, or by {KEYS_VARIABLE}")
+        })?;
         let key = KeyFile::parse(&read_secret(&file)?);
         let key = key.map_err(|error| format!("{}: {error}", file.display()))?;
         let path = roster_beside(&file, &key.robot);
@@ -61,6 +57,18 @@ impl OperatorKey {
     /// All nodes but the operator's own.
     pub(crate) fn others(&self) -> impl Iterator<Item = &RosterNode> {
         self.roster.nodes().iter().filter(|node| node.name != self.own)
+    }
+
+    /// Whether one of these has this name.
+    ///
+    /// # Errors
+    /// It names those that there are.
+    pub(crate) fn check_listed(&self, name: &str) -> Result<(), String> {
+        let names: Vec<_> = self.others().map(|node| node.name.as_str()).collect();
+        match names.contains(&name) {
+            true => Ok(()),
+            false => Err(format!("{name} is not in the roster, which lists {}", names.join(", "))),
+        }
     }
 }
 
@@ -79,11 +87,25 @@ pub(crate) struct OperatorSession {
 }
 
 impl OperatorSession {
-    /// Connects to the node.
+    /// Connects to the node, does this, and ends in order: no node misses the operator.
     ///
     /// # Errors
-    /// Why it did not, and what to do.
-    pub(crate) async fn open(
+    /// Why it did not connect, and what to do; or that of the work.
+    pub(crate) fn run<T>(
+        key: &OperatorKey,
+        to: &NodeAddress,
+        options: &OperatorOptions,
+        work: impl AsyncFnOnce(&Self) -> Result<T, String>,
+    ) -> Result<T, String> {
+        blastema::run(async {
+            let session = Self::open(key, to, options).await?;
+            let done = work(&session).await;
+            session.node.shutdown().await;
+            done
+        })
+    }
+
+    async fn open(
         key: &OperatorKey,
         to: &NodeAddress,
         options: &OperatorOptions,
@@ -91,11 +113,7 @@ impl OperatorSession {
         // What this node finds is said by the command itself. Fails where it was set before.
         let _ = set_global_default(NoSubscriber::default());
         let NodeAddress { node: via, address } = to;
-        let listed = key.others().any(|node| node.name.as_str() == via);
-        if !listed {
-            let names: Vec<_> = key.others().map(|node| node.name.as_str()).collect();
-            return Err(format!("{via} is not in the roster, which lists {}", names.join(", ")));
-        }
+        key.check_listed(via)?;
         let any = if address.starts_with('[') { "udp://[::]:0" } else { "udp://0.0.0.0:0" };
         let own = options.from.as_deref().unwrap_or(any);
         let network = Network::new("operator", own).peer(via, address);
@@ -115,11 +133,6 @@ impl OperatorSession {
         let left = self.until.saturating_duration_since(Instant::now());
         // One that is there already needs no time.
         self.node.connected(node.as_str(), left.max(Duration::from_millis(10))).await
-    }
-
-    /// Ends the session in order: no node misses the operator.
-    pub(crate) async fn close(self) {
-        self.node.shutdown().await;
     }
 }
 

@@ -55,18 +55,18 @@ fn a_running_node_is_shown_as_tables_and_as_json_and_no_more_once_it_has_stopped
 
         let json = monitor(&["--json", text(&socket)]).await;
         assert!(json.status.success(), "{json:?}");
-        let picture: Value = serde_json::from_slice(&json.stdout).expect("a JSON document");
-        assert_eq!((&picture["node"], &picture["state"]), (&"module1".into(), &"running".into()));
+        let snapshot: Value = serde_json::from_slice(&json.stdout).expect("a JSON document");
+        assert_eq!((&snapshot["node"], &snapshot["state"]), (&"module1".into(), &"running".into()));
         let row = |part: &str, key: &str, value: &str| -> Value {
-            let rows = picture[part].as_array().expect("a list");
+            let rows = snapshot[part].as_array().expect("a list");
             rows.iter().find(|row| row[key] == value).cloned().unwrap_or_default()
         };
-        assert_eq!(row("table", "location", "module1:lamp")["state"], "active", "{picture}");
+        assert_eq!(row("table", "location", "module1:lamp")["state"], "active", "{snapshot}");
         let thread = row("threads", "kind", "shared");
-        assert_eq!(thread["state"], "alive", "{picture}");
+        assert_eq!(thread["state"], "alive", "{snapshot}");
         assert_eq!(thread["components"], serde_json::json!(["lamp", "light/room/replica"]));
         let service = row("services", "name", "light/room");
-        assert_eq!(service["state"], "candidate", "{picture}");
+        assert_eq!(service["state"], "candidate", "{snapshot}");
         assert_eq!(service["missing_members"], serde_json::json!(["module2"]));
         assert_eq!(row("global_names", "name", "light")["object"], "lamp");
 
@@ -236,8 +236,8 @@ fn who_may_not_look_is_told_who_may() {
 /// Shows this to one who comes, and ends.
 async fn shows(socket: &Path, shown: &[u8]) {
     let listener = tokio::net::UnixListener::bind(socket).expect("a socket");
-    let (mut viewer, _) = listener.accept().await.expect("a client connects");
-    viewer.write_all(shown).await.expect("the client reads");
+    let (mut client, _) = listener.accept().await.expect("a client connects");
+    client.write_all(shown).await.expect("the client reads");
 }
 
 #[test]
@@ -327,7 +327,7 @@ fn who_takes_connections_and_says_nothing_is_not_waited_for_without_end() {
         let mut waiting = Vec::new();
         let full = loop {
             match tokio::net::UnixStream::connect(&socket).await {
-                Ok(viewer) => waiting.push(viewer),
+                Ok(client) => waiting.push(client),
                 Err(error) => break error,
             }
         };

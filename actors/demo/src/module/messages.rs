@@ -21,7 +21,7 @@ pub(super) struct Pose {
     /// To the left.
     #[contract(unit = "m", frame = "map")]
     pub(super) y: f64,
-    /// Counter-clockwise.
+    /// Counter-clockwise from the x axis.
     #[contract(unit = "rad", frame = "map")]
     pub(super) heading: f64,
 }
@@ -42,10 +42,9 @@ pub(super) struct Goal {
 #[derive(Clone, Copy, Debug, Default, Event)]
 #[contract(name = "motors/velocity", max_age = "100ms")]
 pub(super) struct Velocity {
-    /// Forward.
     #[contract(unit = "m/s", frame = "base")]
     pub(super) forward: f64,
-    /// Counter-clockwise.
+    /// Positive is counter-clockwise.
     #[contract(unit = "rad/s", frame = "base")]
     pub(super) turning: f64,
 }
@@ -54,7 +53,7 @@ pub(super) struct Velocity {
 #[derive(Clone, Copy, Debug, Event)]
 #[contract(name = "safety/stop")]
 pub(super) struct Stop {
-    /// How near.
+    /// The distance to the nearest obstacle.
     #[contract(unit = "m")]
     pub(super) distance: f32,
 }
@@ -75,11 +74,10 @@ pub(super) struct Wheels {
 #[derive(Clone, Debug, Event)]
 #[contract(name = "demo/numbered")]
 pub(super) struct Numbered {
-    /// The flow.
     pub(super) flow: String,
     /// The process of the source.
     pub(super) source: u64,
-    /// From 1.
+    /// Rises by 1 with each message, from 1.
     pub(super) number: u64,
     /// When it was sent, in nanoseconds of the computer's clock.
     pub(super) sent: u64,
@@ -89,7 +87,7 @@ pub(super) struct Numbered {
 #[derive(Clone, Copy, Debug, Request)]
 #[contract(name = "demo/echo", reply = u64)]
 pub(super) struct EchoRequest {
-    /// Comes back.
+    /// The number that the reply returns.
     pub(super) number: u64,
 }
 
@@ -97,7 +95,7 @@ pub(super) struct EchoRequest {
 #[derive(Clone, Copy, Debug, Event)]
 #[contract(name = "demo/tick")]
 pub(super) struct Tick {
-    /// Counts up.
+    /// Rises by 1 with each tick, from 1.
     pub(super) number: u64,
     /// When it was published, in nanoseconds of the computer's clock.
     pub(super) sent: u64,

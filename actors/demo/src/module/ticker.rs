@@ -5,7 +5,7 @@ use super::messages::Tick;
 use crate::messages::{FILTERED, UNFILTERED};
 use blastema::prelude::*;
 
-/// Publishes.
+/// Publishes a [`Tick`] in every round.
 #[derive(Debug, Default)]
 pub(super) struct Ticker {
     number: u64,

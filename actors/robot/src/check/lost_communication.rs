@@ -7,7 +7,7 @@ use crate::description::{
 };
 use crate::finding::ElementPart;
 use crate::types::network_of;
-use crate::value::{ValueError, hint};
+use crate::value::ValueError;
 use blastema::PolicyPart;
 use blastema::core::port::{ConnectionRole, PortConnection};
 use blastema::recovery::Restart;
@@ -26,7 +26,7 @@ impl<'a> RobotChecker<'a> {
         for policy in &node.lost_communication {
             if let Some(commander) = &policy.commander {
                 let at = (policy.origin, "commander");
-                self.known("node", commander, nodes.clone(), at);
+                self.known(CODE, "node", commander, nodes.clone(), at);
                 if groups.contains_key(commander.as_str()) {
                     self.reach(groups, [commander, &node.name], at);
                 }
@@ -35,9 +35,11 @@ impl<'a> RobotChecker<'a> {
                 let at = |part| (need.origin, part);
                 match &need.channel {
                     NeedChannel::Heartbeat(_) => {}
-                    NeedChannel::Node(name) => self.known("node", name, nodes.clone(), at("node")),
+                    NeedChannel::Node(name) => {
+                        self.known(CODE, "node", name, nodes.clone(), at("node"))
+                    }
                     NeedChannel::Session(name) => {
-                        self.known("node", name, nodes.clone(), at("session"));
+                        self.known(CODE, "node", name, nodes.clone(), at("session"));
                     }
                     NeedChannel::Link(name) => {
                         let ends = node.endpoints.iter();
@@ -45,24 +47,17 @@ impl<'a> RobotChecker<'a> {
                             ends.filter_map(|end| network_of(self.robot, node, end).ok());
                         let links: Vec<_> =
                             networks.flat_map(|of| of.link_names().collect::<Vec<_>>()).collect();
-                        self.known("link", name, links.iter().map(String::as_str), at("link"));
+                        self.known(
+                            CODE,
+                            "link",
+                            name,
+                            links.iter().map(String::as_str),
+                            at("link"),
+                        );
                     }
                 }
             }
             policy.rungs.iter().for_each(|rung| self.rung(node, rung));
-        }
-    }
-
-    fn known<'n>(
-        &mut self,
-        what: &str,
-        name: &str,
-        mut known: impl Iterator<Item = &'n str> + Clone,
-        at: (ElementOrigin, &str),
-    ) {
-        let help = hint(name, known.clone());
-        if !known.any(|known| known == name) {
-            self.find(CODE, format!("there is no {what} `{name}`"), at, help, "unknown");
         }
     }
 
@@ -89,7 +84,7 @@ impl<'a> RobotChecker<'a> {
             ChildDescription::Supervisor(_) => None,
         });
         let names = below.clone().map(|known| known.name.as_str());
-        self.known("component directly in the node called", run, names, (rung.origin, "run"));
+        self.known(CODE, "component directly in the node called", run, names, (rung.origin, "run"));
         let is_unusual = |component: &&ComponentDescription| {
             let ComponentDescription { restart, essential, plan, .. } = component;
             *restart != Restart::Permanent || *essential || !plan.is_empty()

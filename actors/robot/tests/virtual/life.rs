@@ -30,7 +30,7 @@ impl Component for Part {
     }
 }
 
-/// Cannot begin.
+/// Fails in `on_initialize`.
 #[derive(Default)]
 struct Broken;
 

@@ -311,9 +311,6 @@ fn whole() -> RobotDescription {
 #[test]
 fn a_robot_from_a_file_and_the_same_from_code_have_equal_descriptions() {
     let mut robot = load("tests/right/whole.robot.xml", &[]);
-    let json = serde_json::to_string(&robot).expect("a description can be written");
-    assert_eq!(serde_json::from_str::<RobotDescription>(&json).expect("and read"), robot);
-
     // A process of the robot's own is a node of its own, and a child of its node.
     let fingers = robot.nodes.pop().expect("it is the last");
     assert_eq!((&*fingers.name, fingers.process_of.as_deref()), ("fingers", Some("arm")));

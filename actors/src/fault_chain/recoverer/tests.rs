@@ -8,7 +8,7 @@ use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};
 use blastema_core::detection::RecoveryOutcome;
 use blastema_core::recovery::{Ladder, Plan, RecovererLimits, SupervisorRules};
 use blastema_core::{Fault, FaultId, FaultKind, FaultLocation, NodeName};
-use blastema_doubles::{Probe, advance, paused, settle};
+use blastema_doubles::{Probe, paused, settle};
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering::SeqCst;
@@ -43,7 +43,7 @@ impl Chain {
             "there" => Ok(RecoveryDone::default()),
             _ => Err(cause.into()),
         });
-        let tools = StrategyContext::new(StrategyTargets {
+        let context = StrategyContext::new(StrategyTargets {
             node: here.clone(),
             directory: bench.directory.clone(),
             registry: Registry::default(),
@@ -55,11 +55,10 @@ impl Chain {
             ),
             rest_node: node.recipient(),
         });
-        let limits = RecovererLimits { idle: Duration::from_secs(5), ..RecovererLimits::default() };
         let setup = RecovererSetup {
-            machine: recovery::Recoverer::new(here, plan, limits, 7),
+            machine: recovery::Recoverer::new(here, plan, RecovererLimits::default(), 7),
             strategies,
-            tools,
+            context,
             detector: outcomes.recipient(),
             callbacks: Callbacks::default(),
         };
@@ -103,80 +102,22 @@ impl Chain {
 /// Calls itself by what a test wants it to do.
 struct Homing {
     made: Arc<AtomicUsize>,
-    released: Arc<AtomicUsize>,
-}
-
-impl Drop for Homing {
-    fn drop(&mut self) {
-        self.released.fetch_add(1, SeqCst);
-    }
 }
 
 impl RecoveryStrategy for Homing {
     async fn carry_out(
         &self,
         order: &RecoveryOrder,
-        tools: &StrategyContext,
+        context: &StrategyContext,
     ) -> Result<RecoveryDone, RecoveryFailed> {
         assert!(self.made.load(SeqCst) > 0);
         match order.attempt {
             1 => panic!("the gripper is open"),
             2 => std::future::pending().await,
             3 => Err("still not there".into()),
-            _ => tools.reset(&order.fault.location).await,
+            _ => context.reset(&order.fault.location).await,
         }
     }
-}
-
-#[test]
-fn a_panic_is_recovered_by_the_next_incarnation() {
-    paused(async {
-        let chain = Chain::built_in().await;
-
-        chain.recover(fault(1, FaultKind::Panic, "laser", 1)).await;
-
-        assert_eq!(chain.reported_until("1 recovered").await, ["1 restart", "1 recovered"]);
-        assert_eq!(chain.bench.script.done(), ["start laser"]);
-    });
-}
-
-#[test]
-fn an_error_that_cannot_be_reset_is_restarted() {
-    paused(async {
-        let chain = Chain::built_in().await;
-        chain.bench.script.answer("reset arm", &[ScriptedReply::Fails]);
-
-        chain.recover(fault(1, FaultKind::ErrorState, "arm", 1)).await;
-
-        let jammed = "1 reset failed: arm: it could not reset itself: jammed";
-        let reported = chain.reported_until("1 recovered").await;
-        assert_eq!(reported, ["1 reset", jammed, "1 restart", "1 recovered"]);
-        assert_eq!(chain.bench.script.done(), ["reset arm", "stop arm", "start arm"]);
-    });
-}
-
-#[test]
-fn what_does_not_start_again_ends_in_safe_rest_and_the_rest_works_on() {
-    paused(async {
-        let chain = Chain::built_in().await;
-        chain.bench.script.answer("start laser", &[ScriptedReply::Fails; 3]);
-
-        chain.recover(fault(1, FaultKind::Panic, "laser", 1)).await;
-
-        let last = "1 given up: contained by safe stop; service is not restored";
-        let reported = chain.reported_until(last).await;
-        let failed = "1 restart failed: laser: its next incarnation did not start: no device";
-        assert_eq!(reported.iter().filter(|line| *line == failed).count(), 3, "{reported:?}");
-        let others: Vec<&String> = reported.iter().filter(|line| *line != failed).collect();
-        assert_eq!(
-            others,
-            ["1 restart", "1 restart, attempt 2", "1 restart, attempt 3", "1 safe stop", last]
-        );
-        assert_eq!(chain.safe_outputs.load(SeqCst), 1);
-        assert_eq!(chain.node.recorded(), 0);
-        let done = ["start laser", "start laser", "start laser", "isolate laser"];
-        assert_eq!(chain.bench.script.done(), done);
-    });
 }
 
 #[test]
@@ -231,14 +172,14 @@ fn a_faulty_node_is_isolated_and_where_that_cannot_be_it_is_observed() {
 }
 
 #[test]
-fn a_strategy_of_the_application_is_made_when_needed_and_released_when_idle() {
+fn a_strategy_of_the_application_is_made_once_and_only_when_needed() {
     paused(async {
-        let (made, released) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
+        let made = Arc::new(AtomicUsize::new(0));
         let mut strategies = StrategyTable::default();
-        let counters = (made.clone(), released.clone());
+        let counter = made.clone();
         strategies.hand_over("homing", move || {
-            counters.0.fetch_add(1, SeqCst);
-            Homing { made: counters.0.clone(), released: counters.1.clone() }
+            counter.fetch_add(1, SeqCst);
+            Homing { made: counter.clone() }
         });
         assert_eq!(strategies.names().collect::<Vec<_>>(), ["homing"]);
         let ladder = Ladder::first(RecoveryAction::Custom("homing".into()))
@@ -258,9 +199,7 @@ fn a_strategy_of_the_application_is_made_when_needed_and_released_when_idle() {
         );
         assert!(reported[5].ends_with("failed: still not there"), "{reported:?}");
         assert_eq!(chain.bench.script.done(), ["reset arm"]);
-        assert_eq!((made.load(SeqCst), released.load(SeqCst)), (1, 0));
-        advance(Duration::from_secs(6)).await;
-        assert_eq!((made.load(SeqCst), released.load(SeqCst)), (1, 1));
+        assert_eq!(made.load(SeqCst), 1);
     });
 }
 

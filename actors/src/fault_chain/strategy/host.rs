@@ -21,7 +21,7 @@ pub(super) struct StrategyHost<S> {
     make: Arc<dyn Fn() -> S + Send + Sync>,
     /// Made with its first order.
     strategy: Option<Rc<S>>,
-    tools: StrategyContext,
+    context: StrategyContext,
     thread: Option<StrategyThread>,
 }
 
@@ -58,10 +58,10 @@ impl StrategyThread {
 impl<S: RecoveryStrategy> StrategyHost<S> {
     pub(super) fn new(
         make: Arc<dyn Fn() -> S + Send + Sync>,
-        tools: StrategyContext,
+        context: StrategyContext,
         thread: Option<StrategyThread>,
     ) -> Self {
-        StrategyHost { make, strategy: None, tools, thread }
+        StrategyHost { make, strategy: None, context, thread }
     }
 
     fn strategy(&mut self, order: u64) -> Result<Rc<S>, RecoveryFailed> {
@@ -97,9 +97,9 @@ impl<S: RecoveryStrategy> Handler<ExecuteAction> for StrategyHost<S> {
             Ok(strategy) => strategy,
             Err(failed) => return PendingAnswer::new(std::future::ready(Err(failed))),
         };
-        let (tools, thread) = (self.tools.clone(), self.thread.clone());
+        let (context, thread) = (self.context.clone(), self.thread.clone());
         PendingAnswer::new(async move {
-            let work = guarded(strategy.carry_out(&order, &tools), order.number, thread);
+            let work = guarded(strategy.carry_out(&order, &context), order.number, thread);
             match tokio::time::timeout(order.within, work).await {
                 Ok(outcome) => outcome,
                 Err(_) => Err(format!("not done within {:?}", order.within).into()),

@@ -1,31 +1,30 @@
-//! Strategies: the actions that each node has are calls of the tools. Each strategy of the
-//! application has an actor on a thread of its own, made when it is first needed and let go when it
-//! has had nothing to do for a while.
+//! Recovery strategies. The node's own actions are calls of the [`StrategyContext`]. Each strategy of
+//! the application has an actor on a thread of its own, made when the strategy is first needed.
 //!
 //! ```text
-//! Recoverer ─────────────────────────────────────────────────────► tools
-//! Recoverer ──ExecuteAction(order)──► StrategyHost ──► RecoveryStrategy::carry_out(order, tools)
+//! Recoverer ─────────────────────────────────────────────────────► context
+//! Recoverer ──ExecuteAction(order)──► StrategyHost ──► RecoveryStrategy::carry_out(order, context)
 //!           ◄──RecoveryDone | Failed───┘                        │
-//!                          Supervisor ◄──ChildRequest───┤ tools
+//!                          Supervisor ◄──ChildRequest───┤ context
 //!                          Router     ◄──Reroute────────┘
 //! ```
 
+mod context;
 mod host;
 mod outputs;
 mod table;
-mod tools;
 
+pub use context::StrategyContext;
+pub(crate) use context::StrategyTargets;
 pub(crate) use outputs::{ApplyOutputs, NOT_RETURNED, SAFE_OUTPUTS, SafeOutputs};
 pub(crate) use table::{EngagedStrategy, StrategyTable, object_of};
-pub use tools::StrategyContext;
-pub(crate) use tools::StrategyTargets;
 
 use blastema_core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 
 /// A recovery strategy of the application.
 ///
 /// The node gets it by name, and calls it for the faults that the plan answers with this name. The
-/// node creates it at its first order, and drops it after a while without orders.
+/// node creates it at its first order, and keeps it until the node ends or the recoverer restarts.
 ///
 /// Orders for different places are carried out at the same time: whatever must be remembered
 /// between them is kept in a cell. A strategy that panics, or takes longer than
@@ -47,10 +46,10 @@ use blastema_core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 ///     async fn carry_out(
 ///         &self,
 ///         order: &RecoveryOrder,
-///         tools: &StrategyContext,
+///         context: &StrategyContext,
 ///     ) -> Result<RecoveryDone, RecoveryFailed> {
-///         tools.isolate(&order.fault.location).await?;
-///         tools.restart(&order.fault).await
+///         context.isolate(&order.fault.location).await?;
+///         context.restart(&order.fault).await
 ///     }
 /// }
 /// ```
@@ -62,6 +61,6 @@ pub trait RecoveryStrategy: 'static {
     fn carry_out(
         &self,
         order: &RecoveryOrder,
-        tools: &StrategyContext,
+        context: &StrategyContext,
     ) -> impl Future<Output = Result<RecoveryDone, RecoveryFailed>>;
 }

@@ -1,11 +1,12 @@
 //! The application's declared safe outputs.
 
+use crate::platform::lock;
 use crate::runtime::callbacks::{CallOutcome, Callbacks};
 use crate::runtime::reports::FaultReports;
 use blastema_core::{Fault, ObjectName};
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::Relaxed;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use tokio::sync::oneshot;
 
 /// Called whenever something enters the safe state.
@@ -101,7 +102,7 @@ impl SafeOutputs {
                         Ok(())
                     }
                 };
-                if let Some(done) = done.lock().unwrap_or_else(PoisonError::into_inner).take() {
+                if let Some(done) = lock(&done).take() {
                     let _ = done.send(applied);
                 }
             },

@@ -67,12 +67,12 @@ impl StrategyTable {
         make: impl Fn() -> S + Send + Sync + 'static,
     ) {
         let make: Arc<dyn Fn() -> S + Send + Sync> = Arc::new(make);
-        let start: Make = Arc::new(move |tools, place| {
+        let start: Make = Arc::new(move |context, place| {
             let make = make.clone();
             match place {
-                None => StrategyHost::new(make, tools, None).start().recipient(),
+                None => StrategyHost::new(make, context, None).start().recipient(),
                 Some((arbiter, thread)) => StrategyHost::start_in_arbiter(arbiter, |_| {
-                    StrategyHost::new(make, tools, Some(thread))
+                    StrategyHost::new(make, context, Some(thread))
                 })
                 .recipient(),
             }
@@ -93,13 +93,13 @@ impl StrategyTable {
     pub(crate) fn make(
         &self,
         name: &str,
-        tools: StrategyContext,
+        context: StrategyContext,
         callbacks: &Callbacks,
     ) -> Result<EngagedStrategy, RecoveryFailed> {
         let object = object_of(name);
         let make = self.0.get(name).ok_or_else(|| format!("there is no strategy {name:?}"))?;
         if !callbacks.have_threads() {
-            return Ok(EngagedStrategy { orders: make(tools, None), own: None });
+            return Ok(EngagedStrategy { orders: make(context, None), own: None });
         }
         let arbiter = callbacks
             .check_share(&object)
@@ -108,7 +108,7 @@ impl StrategyTable {
         let (blocked_by, blocked) = watch::channel(None);
         let (callbacks, blocked_by) = (callbacks.clone(), Arc::new(blocked_by));
         let thread = StrategyThread { object, callbacks, blocked_by };
-        let orders = make(tools, Some((&arbiter, thread)));
+        let orders = make(context, Some((&arbiter, thread)));
         Ok(EngagedStrategy { orders, own: Some((arbiter, blocked)) })
     }
 }

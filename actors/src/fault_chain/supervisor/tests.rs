@@ -1,9 +1,8 @@
 use super::*;
 use crate::fault_chain::tests::scripted::{Bench, ScriptedReply, fault, object};
 use blastema_contract::supervisor::{ChildAction, ChildRequest};
-use blastema_core::recovery::{ChildState, Strategy, WhenExceeded};
-use blastema_doubles::{advance, paused, settle};
-use std::time::Duration;
+use blastema_core::recovery::{ChildState, Strategy};
+use blastema_doubles::{paused, settle};
 
 fn rules(strategy: Strategy) -> SupervisorRules {
     SupervisorRules { strategy, ..SupervisorRules::default() }
@@ -47,86 +46,9 @@ fn it_starts_its_children_in_order_and_tells_whom_it_reports_to() {
             states
         );
 
-        root.stop();
+        root.order(ChildOrder::Stop { again: false });
         assert_eq!(bench.above.expect().await.event, ChildEvent::Stopped);
         assert_eq!(bench.script.done(), ["stop b", "stop a"]);
-    });
-}
-
-#[test]
-fn a_restart_is_answered_when_the_whole_group_is_at_work() {
-    paused(async {
-        let bench = Bench::new();
-        let root = bench.serving(rules(Strategy::RestForOne), &["a", "b", "c"]).await;
-
-        let outcome = root.address.send(restart(&bench, "b", FaultKind::Hang, 1)).await;
-
-        assert_eq!(outcome.expect("it lives"), recovered("b", 2));
-        assert_eq!(bench.script.done(), ["abandon b", "stop c", "start b", "start c"]);
-    });
-}
-
-#[test]
-fn a_child_that_hangs_in_its_start_is_declared_and_the_request_answered() {
-    paused(async {
-        let bench = Bench::new();
-        let root = bench.serving(rules(Strategy::OneForOne), &["a"]).await;
-        bench.script.answer("start a", &[ScriptedReply::Hangs]);
-
-        let outcome = root.address.send(restart(&bench, "a", FaultKind::Panic, 1)).await;
-
-        let given_up = outcome.expect("it lives").expect_err("its child hangs");
-        assert_eq!(
-            given_up.why.to_string(),
-            "its next incarnation did not start: not at work within 5s"
-        );
-        let declared = bench.faults.expect().await;
-        assert_eq!(declared.kind, FaultKind::InitializationFailed);
-        assert_eq!((declared.object, declared.incarnation), (object("a"), Incarnation(2)));
-        assert_eq!(bench.script.done(), ["start a", "abandon a"]);
-    });
-}
-
-#[test]
-fn a_child_that_does_not_stop_is_given_up_in_time() {
-    paused(async {
-        let bench = Bench::new();
-        let mut root = bench.serving(rules(Strategy::OneForOne), &["a", "b"]).await;
-        bench.script.answer("stop b", &[ScriptedReply::Hangs]);
-
-        root.stop();
-        advance(Duration::from_secs(5)).await;
-
-        assert_eq!(bench.script.done(), ["stop b", "abandon b", "stop a"]);
-        assert_eq!(bench.above.expect().await.event, ChildEvent::Stopped);
-    });
-}
-
-#[test]
-fn the_root_gives_up_when_restarts_are_not_worth_it_any_more() {
-    paused(async {
-        let bench = Bench::new();
-        let when_exceeded = WhenExceeded::Escalate;
-        let rules = SupervisorRules {
-            intensity: 1,
-            root: true,
-            when_exceeded,
-            ..rules(Strategy::OneForOne)
-        };
-        let root = bench.serving(rules, &["a", "b"]).await;
-        let first = root.address.send(restart(&bench, "a", FaultKind::Panic, 1)).await;
-        assert_eq!(first.expect("it lives"), recovered("a", 2));
-
-        let second = root.address.send(restart(&bench, "a", FaultKind::Panic, 2)).await;
-
-        let why = second.expect("it lives").expect_err("it gave up").why;
-        assert!(matches!(why, GiveUpReason::Escalated { .. }), "{why}");
-        assert_eq!(bench.faults.expect().await.kind, FaultKind::RestartStorm);
-        let event = bench.above.expect().await.event;
-        assert!(matches!(event, ChildEvent::GivesUp { .. }), "{event:?}");
-        let event = bench.above.expect().await.event;
-        assert!(matches!(event, ChildEvent::Escalated { .. }), "{event:?}");
-        assert_eq!(bench.script.done(), ["start a", "stop b"]);
     });
 }
 
@@ -158,7 +80,7 @@ fn a_nested_supervisor_answers_open_requests_after_its_restart() {
         assert_eq!((drive.incarnation, drive.children[0].restarts), (Incarnation(2), 1));
         assert!(tree.children[1].below.is_none());
 
-        root.abandon();
+        root.order(ChildOrder::Abandon);
         settle().await;
         assert_eq!(bench.script.done(), ["abandon planner", "abandon wheel"]);
     });

@@ -39,7 +39,7 @@ impl Handler<ReadTree> for SupervisorActor {
     fn handle(&mut self, _: ReadTree, _: &mut Context<Self>) -> Self::Result {
         let mut branch = self.branch();
         let below: Vec<_> = (branch.children.iter().enumerate())
-            .filter_map(|(at, leaf)| Some((at, self.directory.supervisor(&leaf.name)?)))
+            .filter_map(|(at, leaf)| Some((at, self.neighbours.directory.supervisor(&leaf.name)?)))
             .collect();
         PendingAnswer::new(async move {
             for (at, supervisor) in below {

@@ -1,10 +1,12 @@
 //! Children that follow the script of a test, and the neighbours of a supervisor.
 
 use crate::fault_chain::directory::SupervisorDirectory;
-use crate::fault_chain::supervisor::{SupervisorActor, SupervisorChild, SupervisorSetup};
+use crate::fault_chain::supervisor::{
+    SupervisorActor, SupervisorChild, SupervisorNeighbours, SupervisorSetup,
+};
 use crate::runtime::guardian::Guardian;
 use actix::prelude::*;
-use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
+use blastema_contract::child::{Child, ChildEvent, ChildOrder, ChildReport};
 use blastema_contract::monitor::IsolationReported;
 use blastema_contract::reports::{Exited, FaultDeclared, StateReported};
 use blastema_core::recovery::{ChildRules, SupervisorRules};
@@ -113,32 +115,34 @@ impl Child for Scripted {
         incarnation
     }
 
-    fn stop(&mut self) {
-        if self.call("stop") == ScriptedReply::Works {
-            self.script.pages().alive.remove(&self.name);
-            self.tell(ChildEvent::Stopped);
+    fn order(&mut self, order: ChildOrder) -> bool {
+        match order {
+            ChildOrder::Stop { .. } => {
+                if self.call("stop") == ScriptedReply::Works {
+                    self.script.pages().alive.remove(&self.name);
+                    self.tell(ChildEvent::Stopped);
+                }
+            }
+            ChildOrder::Abandon | ChildOrder::CutOff => {
+                self.call("abandon");
+                self.script.pages().alive.remove(&self.name);
+            }
+            ChildOrder::Reset => match self.call("reset") {
+                ScriptedReply::Works => self.tell(ChildEvent::Reset),
+                ScriptedReply::Fails => {
+                    self.tell(ChildEvent::ResetFailed { reason: "jammed".into() });
+                }
+                ScriptedReply::Hangs | ScriptedReply::Panics => {}
+            },
+            ChildOrder::Isolate(isolated) => {
+                self.call(if isolated { "isolate" } else { "admit" });
+            }
+            ChildOrder::RestartGrant(grant) => {
+                self.call(if grant.is_some() { "order" } else { "withdraw" });
+            }
+            ChildOrder::ExpectEnd | ChildOrder::Retire => {}
         }
-    }
-
-    fn abandon(&mut self) {
-        self.call("abandon");
-        self.script.pages().alive.remove(&self.name);
-    }
-
-    fn reset(&mut self) {
-        match self.call("reset") {
-            ScriptedReply::Works => self.tell(ChildEvent::Reset),
-            ScriptedReply::Fails => self.tell(ChildEvent::ResetFailed { reason: "jammed".into() }),
-            ScriptedReply::Hangs | ScriptedReply::Panics => {}
-        }
-    }
-
-    fn isolate(&mut self, isolated: bool) {
-        self.call(if isolated { "isolate" } else { "admit" });
-    }
-
-    fn set_restart_grant(&mut self, order: Option<RestartGrant>) {
-        self.call(if order.is_some() { "order" } else { "withdraw" });
+        false
     }
 }
 
@@ -180,10 +184,12 @@ impl Bench {
             name: object(name),
             rules,
             children,
-            monitor: self.faults.recipient(),
-            states: self.states.recipient(),
-            isolation: self.isolation.recipient(),
-            directory: self.directory.clone(),
+            neighbours: SupervisorNeighbours {
+                monitor: self.faults.recipient(),
+                states: self.states.recipient(),
+                isolation: self.isolation.recipient(),
+                directory: self.directory.clone(),
+            },
             reserved: None,
         };
         SupervisorActor::start(&self.guardian, None, setup)

@@ -1,6 +1,7 @@
 //! Events straight from the arbiter's hub to the handler, without the queue.
 
-use super::{ComponentExecutor, Service, SlotInUse};
+use super::ComponentExecutor;
+use super::service::{CurrentService, Service, SlotInUse};
 use crate::component::cell::ComponentCell;
 use crate::component::envelope::{self, EventFutureSlot, Times};
 use crate::component::incarnation::IncarnationState;
@@ -50,7 +51,7 @@ impl<C: Component, S> EventService<'_, C, S> {
         self.state.captured_at.set(Some(times.captured_at()));
         message_log::begun(M::NAME, &self.cell.record.name, self.state.incarnation);
         self.activity.begin(self.label);
-        *self.service = Service::Message(self.at);
+        *self.service = Service::Message { at: self.at, is_followed: false };
         if self.future_slot.begin(event, self.component, &mut self.cx).is_pending() {
             return;
         }
@@ -70,19 +71,23 @@ impl<C: Component> ComponentExecutor<C> {
     where
         C: Handle<M>,
     {
-        let is_idle = matches!(self.service, Service::Idle);
-        if !is_idle || !self.lifecycle.is_serving() || self.over || !self.budget.is_trusted() {
+        if !self.service.is_idle()
+            || !self.lifecycle.is_serving()
+            || self.over
+            || !self.budget.is_trusted()
+        {
             return None;
         }
-        let at = self.slot_for(TypeId::of::<M>(), M::NAME, envelope::future_slot::<C, M>);
-        let SlotInUse { label, future_slot, .. } = &mut self.slots_in_use[at];
+        let at = self.service.slot_for(TypeId::of::<M>(), M::NAME, envelope::future_slot::<C, M>);
+        let CurrentService { current, slots_in_use, slot } = &mut self.service;
+        let SlotInUse { label, future_slot, .. } = &mut slots_in_use[at];
         Some(EventService {
             cell: &self.cell,
             state: &self.state,
             component: self.component.as_ref()?,
-            activity: self.slot.activity,
-            service: &mut self.service,
-            cx: task::Context::from_waker(self.waker.as_ref()?),
+            activity: slot.activity,
+            service: current,
+            cx: task::Context::from_waker(self.control.waker.as_ref()?),
             at,
             label: *label,
             future_slot: envelope::event_future_slot::<C, M>(&mut **future_slot)?,
@@ -91,7 +96,7 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// The hub has found that this component took long over an event.
     pub(crate) fn overdraw(&self) {
-        if let Some(waker) = &self.waker {
+        if let Some(waker) = &self.control.waker {
             self.budget.overdraw(waker);
         }
     }
@@ -102,11 +107,9 @@ impl<C: Component> ComponentExecutor<C> {
         if self.is_abandoned() {
             self.leave(); // Its neighbours must not stand behind this fence.
         }
-        if (self.over || self.state.has_wishes() || !self.outbox.is_empty())
-            && let Some(waker) = &self.waker
-        {
+        if self.over || self.state.has_wishes() || !self.outbox.is_empty() {
             // The executor's own poll fulfils what was asked for, reports, and ends what is to end.
-            waker.wake_by_ref();
+            self.control.wake();
         }
     }
 }

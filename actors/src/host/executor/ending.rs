@@ -1,18 +1,21 @@
-//! How incarnations end, and what follows: a replacement on the spot, or a report and rest.
+//! How hooks and incarnations end, and what follows: the next state of the life cycle, a
+//! replacement on the spot, or rest.
 
-use super::{ComponentExecutor, Service};
-use crate::component::Component;
+use super::ComponentExecutor;
+use super::reports::DeferredReport;
+use super::service::Service;
 use crate::component::cell::Blame;
 use crate::component::incarnation::{DeferredCommands, IncarnationState};
-use crate::host::executor::outbox::DeferredReport;
-use crate::host::lifecycle::{EndReason, IncarnationLifecycle, StopOrder};
+use crate::component::{Component, Failure};
+use crate::host::lifecycle::{EndReason, Hook, IncarnationLifecycle, LifecycleReport, StopOrder};
+use crate::host::schedule::DueWork;
 use crate::liveness::label;
 use crate::messaging::death_watch::DownReason;
 use crate::platform;
 use crate::platform::panics;
 use blastema_contract::child::{ChildEvent, RestartGrant};
-use blastema_contract::reports::ExitReason;
-use blastema_core::{DeliveryError, Incarnation, Lifecycle, SlidingWindow};
+use blastema_contract::reports::{ExitReason, FaultDeclared, StateReported};
+use blastema_core::{DeliveryError, FaultKind, Incarnation, Lifecycle, SlidingWindow};
 use std::any::Any;
 use std::rc::Rc;
 use std::sync::Arc;
@@ -33,15 +36,13 @@ impl<C: Component> ComponentExecutor<C> {
         self.died(payload, during);
         // The hub's turn may be long: what follows in it is another's.
         self.flush();
-        if let Some(waker) = &self.waker {
-            waker.wake_by_ref(); // The replacement begins in the executor's own poll.
-        }
+        self.control.wake(); // The replacement begins in the executor's own poll.
         None
     }
 
     /// The name of what is in service, or was last.
     pub(crate) fn in_service(&self) -> &'static str {
-        label::name(self.slot.activity.read().during)
+        self.service.name()
     }
 
     /// This incarnation has ended by a panic. Begins the next one where a standing order says so.
@@ -49,8 +50,8 @@ impl<C: Component> ComponentExecutor<C> {
     pub(super) fn died(&mut self, payload: Box<dyn Any + Send>, during: &'static str) {
         let panics::PanicRecord { text, at } = panics::read(payload);
         let exit = Arc::new(ExitReason::Panicked { text, at, during });
-        if self.slot.activity.is_busy() {
-            self.slot.activity.step();
+        if self.service.slot.activity.is_busy() {
+            self.service.slot.activity.step();
         }
         if self.lifecycle.is_ending() {
             self.cell.record.environment.cut_short.fetch_add(1, Relaxed);
@@ -73,7 +74,7 @@ impl<C: Component> ComponentExecutor<C> {
         match restarted_as {
             Some(next) => {
                 self.cell.record.cold().exits.set_restarted(incarnation, next);
-                self.state = Rc::new(IncarnationState::new(next, self.slot.activity));
+                self.state = Rc::new(IncarnationState::new(next, self.service.slot.activity));
                 self.lifecycle = IncarnationLifecycle::new();
                 self.begin_incarnation();
                 self.cell.attach(false);
@@ -86,7 +87,7 @@ impl<C: Component> ComponentExecutor<C> {
     /// What is being served ends with the incarnation: its sender is notified, and it is a dead
     /// letter.
     pub(super) fn lose_message(&mut self) {
-        let Service::Message(_) = self.service else { return };
+        let Service::Message { .. } = self.service.current else { return };
         let (record, incarnation) = (&self.cell.record, self.state.incarnation);
         let contract = self.in_service();
         record.record_fatal_message(incarnation);
@@ -120,7 +121,6 @@ impl<C: Component> ComponentExecutor<C> {
             None => listener.deactivated(),
         });
         record.tell_watchers(incarnation, DownReason::from(exit));
-        let mut supervisor = None;
         let starting = self.lifecycle.is_starting() && restarted_as.is_none();
         let event = match (exit, self.lifecycle.take_start_failure()) {
             // One that has not come to work does not die in addition.
@@ -133,22 +133,15 @@ impl<C: Component> ComponentExecutor<C> {
             (ExitReason::Panicked { text, at, .. }, None) if starting => {
                 Some(ChildEvent::StartFailed { reason: format!("it panicked at {at}: {text}") })
             }
-            _ => {
-                supervisor = Some(&self.supervisor);
-                None
-            }
+            _ => None,
         };
-        let exited = DeferredReport::Exited(incarnation);
-        // A replacement's own reports come after the end of the incarnation that it replaces.
-        let position = self.outbox.iter().position(|notice| notice.is_of_after(incarnation));
-        let position = position.unwrap_or(self.outbox.len());
         // It is reported when the turn is over: the replacement's first reply does not wait for
         // that. Where the replacement keeps its thread, the sampler reports it meanwhile, unless
         // something is to be reported before it, such as why the component could not go on.
-        record.cold().exits.settle(incarnation, supervisor, position == 0);
+        let supervisor = event.is_none().then(|| self.outbox.supervisor.clone());
+        let is_next = self.outbox.insert_exit(incarnation, event);
+        record.cold().exits.settle(incarnation, supervisor, is_next);
         self.arbiter.heartbeat.owe_exits(true);
-        let child = event.map(|event| DeferredReport::Child(event, incarnation));
-        self.outbox.splice(position..position, [exited].into_iter().chain(child));
     }
 
     /// The incarnation ends without a panic, its hooks done.
@@ -181,8 +174,7 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// Drops what is the user's: its `Drop` may panic, but not while unwinding and not into actix.
     pub(super) fn dispose_of_all(&mut self, blame: Blame) {
-        self.followed = false;
-        self.dispose_service(blame);
+        self.service.dispose(&self.cell.record, blame);
         let record = &self.cell.record;
         let DeferredCommands { tasks, .. } = self.state.take_wishes();
         tasks.into_iter().for_each(|task| record.dispose("a task", task, blame));
@@ -190,18 +182,6 @@ impl<C: Component> ComponentExecutor<C> {
         timers.into_iter().for_each(|action| record.dispose(label::TIMER.name, action, blame));
         tasks.into_iter().for_each(|task| record.dispose("a task", task, blame));
         record.dispose("the component", self.component.take(), blame);
-    }
-
-    /// Drops what was in service, and what it was kept in.
-    pub(super) fn dispose_service(&mut self, blame: Blame) {
-        let service = std::mem::replace(&mut self.service, Service::Idle);
-        let slots_in_use = std::mem::take(&mut self.slots_in_use);
-        let record = &self.cell.record;
-        record.dispose("what it was serving", service, blame);
-        // One by one: a second panic while unwinding from the first would end the process.
-        slots_in_use
-            .into_iter()
-            .for_each(|in_use| record.dispose("what it was serving", in_use, blame));
     }
 
     /// This incarnation was abandoned, and the next one begins or has begun.
@@ -214,8 +194,7 @@ impl<C: Component> ComponentExecutor<C> {
     pub(super) fn leave(&mut self) {
         self.over = true;
         self.dispose_of_all(Blame::Log);
-        let present = self.state.incarnation;
-        self.outbox.retain(|notice| notice.is_death_before(present));
+        self.outbox.retain_deaths_before(self.state.incarnation);
         self.flush();
         self.arbiter.heartbeat.owe_exits(false);
         if self.arbiter.heartbeat.is_lost() {
@@ -246,5 +225,116 @@ impl<C: Component> ComponentExecutor<C> {
         self.cell.record.cold().exits.keep(incarnation, ExitReason::Aborted);
         self.report_exit(incarnation, &ExitReason::Aborted, None);
         self.flush();
+    }
+
+    pub(super) fn hook_done(&mut self, hook: Hook, result: Result<(), Failure>) {
+        if hook == Hook::Execute && result.is_ok() {
+            // It is a sign of life, unless a test keeps that back.
+            if !self.cell.record.is_silent() {
+                self.service.slot.activity.give_sign();
+            }
+        }
+        if hook == Hook::Deactivated || result.is_err() {
+            self.cell.record.announce(|listener| listener.left_work(result.is_ok()));
+        }
+        self.lifecycle.handle_done(hook, result);
+        self.pass_reports();
+    }
+
+    /// The component leaves work: has its actuators stopped, and says whether they are at rest, and
+    /// what follows may begin.
+    pub(super) fn is_settled(&mut self) -> bool {
+        let record = &self.cell.record;
+        let settled = self.state.settled.get().unwrap_or_else(|| {
+            let within = record.leave_work();
+            if !within.is_zero() {
+                self.schedule.limit(DueWork::SettleLimit, within);
+            }
+            within.is_zero()
+        });
+        self.state.settled.set(Some(settled));
+        // An isolated component takes no command.
+        settled && (!self.cell.queue.has_notices() || record.is_isolated())
+    }
+
+    /// Passes on what the lifecycle has to tell, and keeps the rest of the host in step with it.
+    pub(super) fn pass_reports(&mut self) {
+        if self.is_abandoned() {
+            return; // What it says of the component would be said of the next incarnation.
+        }
+        while let Some(report) = self.lifecycle.poll_report() {
+            match report {
+                LifecycleReport::State(state, reason) => self.enter(state, reason),
+                LifecycleReport::Unavailable { reason, retry_in } => {
+                    self.schedule.limit(DueWork::Retry, retry_in);
+                    self.cell.record.set_unavailable(&reason);
+                    let object = self.cell.record.name.clone();
+                    let (incarnation, kind) = (self.state.incarnation, FaultKind::Unavailable);
+                    let declared =
+                        FaultDeclared { object, incarnation, kind, detail: reason, hold: None };
+                    self.outbox.push(DeferredReport::Declared(declared));
+                }
+                LifecycleReport::Child(event) => {
+                    self.schedule.cancel_limit(DueWork::ReadyLimit);
+                    self.outbox.push(DeferredReport::Child(event, self.state.incarnation));
+                }
+            }
+        }
+        if self.lifecycle.is_ending() {
+            // Also of a failure, which its supervisor has not ordered to stop.
+            self.schedule.limit(DueWork::StopLimit, self.cell.record.limits.shutdown_within);
+        }
+    }
+
+    /// Ends what has taken longer than it may.
+    pub(super) fn handle_limits(&mut self) {
+        if self.schedule.take_limit(DueWork::Retry) && self.lifecycle.handle_retry() {
+            self.schedule.limit(DueWork::ReadyLimit, self.cell.record.limits.ready_within);
+        }
+        if self.schedule.take_limit(DueWork::ReadyLimit) && self.lifecycle.is_starting() {
+            self.drop_service();
+            let within = self.cell.record.limits.ready_within;
+            self.lifecycle.handle_fatal(format!("it was not ready within {within:?}"));
+            self.pass_reports();
+        }
+        if self.schedule.take_limit(DueWork::SettleLimit) {
+            self.state.settled.set(Some(true));
+        }
+        if self.schedule.take_limit(DueWork::StopLimit)
+            && let Some(end) = self.lifecycle.end_reason()
+        {
+            let within = self.cell.record.limits.shutdown_within;
+            self.cell.record.environment.cut_short.fetch_add(1, Relaxed);
+            // A caller that gives it no time at all wants it cut off.
+            if !within.is_zero() {
+                self.lifecycle.handle_cut_off(self.in_service(), within);
+                self.pass_reports();
+            }
+            self.drop_service();
+            self.end(end);
+        }
+    }
+
+    fn enter(&mut self, state: Lifecycle, reason: Option<String>) {
+        self.cell.record.set_state(state);
+        self.state.settled.set(None);
+        self.schedule.cancel_limit(DueWork::SettleLimit);
+        if matches!(state, Lifecycle::Error | Lifecycle::Fatal) {
+            self.cell.record.announce(|listener| listener.left_work(false));
+        }
+        self.service.slot.activity.expect_signs(state == Lifecycle::Active);
+        self.schedule.set_active(state == Lifecycle::Active);
+        if state == Lifecycle::Active && !self.lifecycle.is_ending() {
+            self.cell.record.announce(|listener| listener.activated());
+        }
+        let (object, incarnation) = (self.cell.record.name.clone(), self.state.incarnation);
+        self.outbox.push_state(StateReported { object, incarnation, state, reason });
+    }
+
+    pub(super) fn flush(&mut self) {
+        if !self.outbox.is_empty() {
+            self.arbiter.heartbeat.owe_exits(false);
+            self.outbox.send(&self.cell.record);
+        }
     }
 }

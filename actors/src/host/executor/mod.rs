@@ -8,27 +8,28 @@
 
 mod at_once;
 mod ending;
-mod lifecycle;
-mod outbox;
+mod reports;
+mod service;
 mod shared;
 
 pub(crate) use shared::{SharedExecutor, executor_here};
 
-use outbox::DeferredReport;
+use reports::ReportOutbox;
+use service::{CurrentService, Service};
 
 use super::lifecycle::{Hook, IncarnationLifecycle, LifecycleStep, StopOrder};
 use super::schedule::{DueWork, ScheduledWork};
 use crate::arbiter::pool::ArbiterSlot;
 use crate::arbiter::turn_budget::TurnBudget;
+use crate::component::Component;
 use crate::component::cell::{Blame, ComponentCell, CurrentPlacement};
 use crate::component::context::Context;
 use crate::component::control::{CommandQueue, HostCommand};
-use crate::component::envelope::{BoxedEnvelope, Envelope, EnvelopeHeader, FutureSlot};
+use crate::component::envelope::{BoxedEnvelope, Envelope, EnvelopeHeader};
 use crate::component::incarnation::IncarnationState;
 use crate::component::slot::ComponentSlot;
-use crate::component::{Component, Failure};
-use crate::liveness::activity::{ActivitySlot, ActivitySlotRef};
-use crate::liveness::label::{self, FACTORY, TASK, TIMER};
+use crate::liveness::activity::ActivitySlotRef;
+use crate::liveness::label::{FACTORY, TASK, TIMER};
 use crate::liveness::sampler::SampledComponent;
 use crate::messaging::message_log;
 use crate::messaging::queue::Popped;
@@ -36,33 +37,14 @@ use crate::platform;
 use crate::platform::panics::PanicGuard;
 use actix::Recipient;
 use blastema_contract::child::ChildReport;
-use blastema_core::{DeliveryError, Incarnation, Instant, SlidingWindow};
-use std::any::TypeId;
-use std::future::Future;
+use blastema_core::{DeliveryError, Incarnation, SlidingWindow};
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::pin::Pin;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::task::{self, Poll, Waker};
 
 /// Messages per poll while they are quick; then neighbours and the control queue have their turn.
 const BUDGET: usize = 64;
-/// Future slots kept at most; a component that takes more contracts than this pays a box for the others.
-const SLOTS_MAX: usize = 4;
-
-/// What is in service.
-enum Service {
-    Idle,
-    /// A message, in the slot of this number.
-    Message(usize),
-    Hook(Hook, Pin<Box<dyn Future<Output = Result<(), Failure>>>>),
-}
-
-struct SlotInUse<C: Component> {
-    contract: TypeId,
-    label: u32,
-    future_slot: Box<dyn FutureSlot<C>>,
-}
 
 /// How far one step came.
 enum Progress {
@@ -79,29 +61,41 @@ pub(crate) struct ComponentExecutor<C: Component> {
     state: Rc<IncarnationState<C>>,
     lifecycle: IncarnationLifecycle,
     component: Option<Rc<ComponentSlot<C>>>,
-    service: Service,
-    slots_in_use: Vec<SlotInUse<C>>,
+    service: CurrentService<C>,
     schedule: ScheduledWork<C>,
     /// Shared with the component's tasks.
     budget: Rc<TurnBudget>,
-    /// The last turn went to the component's tasks; this one begins with the next step.
-    step_first: bool,
-    /// The last step went to a round or a timer.
-    message_next: bool,
-    slot: ActivitySlot,
     arbiter: ArbiterSlot,
-    waker: Option<Waker>,
-    /// The message in service is to be blamed by its identity if it brings death.
-    followed: bool,
-    /// When the incarnation began, until it first awaits something.
-    began: Option<Instant>,
+    control: ControlInbox,
     /// This incarnation is over, and none comes after it here.
     over: bool,
     /// The latest restarts by its guard, as far back as they count. There only where it has.
     deaths: Option<Box<SlidingWindow>>,
-    outbox: Vec<DeferredReport>,
-    supervisor: Arc<Recipient<ChildReport>>,
+    outbox: ReportOutbox,
+}
+
+/// The commands to an executor, and what wakes it for them and for anything else.
+struct ControlInbox {
     commands: Arc<CommandQueue>,
+    /// There from the first poll on.
+    waker: Option<Waker>,
+}
+
+impl ControlInbox {
+    /// Has commands wake this task from now on.
+    fn follow(&mut self, waker: &Waker) {
+        if self.waker.as_ref().is_none_or(|known| !known.will_wake(waker)) {
+            self.waker = Some(waker.clone());
+            self.commands.set_waker(self.waker.clone());
+        }
+    }
+
+    /// Has the executor go on in a poll of its own.
+    fn wake(&self) {
+        if let Some(waker) = &self.waker {
+            waker.wake_by_ref();
+        }
+    }
 }
 
 impl<C: Component> ComponentExecutor<C> {
@@ -113,29 +107,21 @@ impl<C: Component> ComponentExecutor<C> {
         supervisor: Arc<Recipient<ChildReport>>,
         commands: Arc<CommandQueue>,
     ) -> Self {
-        let slot = ActivitySlot::claim();
-        let state = Rc::new(IncarnationState::new(incarnation, slot.activity));
+        let service = CurrentService::new();
+        let state = Rc::new(IncarnationState::new(incarnation, service.slot.activity));
         let mut executor = ComponentExecutor {
             cell,
             state,
             lifecycle: IncarnationLifecycle::new(),
             component: None,
-            service: Service::Idle,
-            slots_in_use: Vec::new(),
+            service,
             schedule: ScheduledWork::default(),
             budget: Rc::default(),
-            step_first: false,
-            message_next: false,
-            slot,
             arbiter,
-            waker: None,
-            followed: false,
-            began: None,
+            control: ControlInbox { commands, waker: None },
             over: false,
             deaths: None,
-            outbox: Vec::new(),
-            supervisor,
-            commands,
+            outbox: ReportOutbox::new(supervisor),
         };
         executor.begin_incarnation();
         let record = &executor.cell.record;
@@ -144,16 +130,16 @@ impl<C: Component> ComponentExecutor<C> {
             object: record.name.clone(),
             inside: cell,
             heartbeat: executor.arbiter.heartbeat.clone(),
-            activity: executor.slot.activity,
+            activity: executor.service.slot.activity,
             limits: record.limits.hang.clone(),
         };
-        record.environment.watch_list.enter(executor.slot.index, watched);
+        record.environment.watch_list.enter(executor.service.slot.index, watched);
         executor
     }
 
     fn begin_incarnation(&mut self) {
         let record = &self.cell.record;
-        self.slot.activity.begin_incarnation(self.state.incarnation.0);
+        self.service.slot.activity.begin_incarnation(self.state.incarnation.0);
         self.state.token.mute(record.is_isolated());
         let (arbiter, token) = (self.arbiter.clone(), self.state.token.clone());
         let placement = CurrentPlacement { arbiter, slot: self.activity_slot(), token };
@@ -162,8 +148,7 @@ impl<C: Component> ComponentExecutor<C> {
             lateness.clear();
         }
         self.schedule.begin(record.limits.interval, self.arbiter.is_own_thread());
-        self.slot.activity.run_every(record.limits.interval);
-        self.began = Some(platform::now());
+        self.service.slot.activity.run_every(record.limits.interval);
         // An incarnation that was abandoned before its placement was known was not notified.
         if !is_newest || self.cell.queue.owner() != Some(self.state.incarnation) {
             self.state.token.end();
@@ -172,12 +157,12 @@ impl<C: Component> ComponentExecutor<C> {
 
     #[inline]
     pub(crate) fn activity_slot(&self) -> ActivitySlotRef {
-        ActivitySlotRef { index: self.slot.index, activity: self.slot.activity }
+        ActivitySlotRef { index: self.service.slot.index, activity: self.service.slot.activity }
     }
 
     /// Executes its commands.
     fn obey(&mut self) {
-        for command in self.commands.take() {
+        for command in self.control.commands.take() {
             match command {
                 HostCommand::Stop => self.leave_by(StopOrder::Stop),
                 HostCommand::MakeWay => self.leave_by(StopOrder::MakeWay),
@@ -201,10 +186,7 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// One poll of everything. Ready when the last incarnation here is over.
     fn run(&mut self, cx: &mut task::Context<'_>) -> Poll<()> {
-        if self.waker.as_ref().is_none_or(|waker| !waker.will_wake(cx.waker())) {
-            self.waker = Some(cx.waker().clone());
-            self.commands.set_waker(self.waker.clone());
-        }
+        self.control.follow(cx.waker());
         self.obey();
         if self.is_abandoned() {
             self.leave();
@@ -220,7 +202,7 @@ impl<C: Component> ComponentExecutor<C> {
         if muted {
             self.arbiter.heartbeat.mute(true);
         }
-        self.arbiter.heartbeat.run(Some(self.slot.index));
+        self.arbiter.heartbeat.run(Some(self.service.slot.index));
         let guarded = PanicGuard::enter();
         self.budget.begin();
         let over = self.turn(cx);
@@ -244,7 +226,7 @@ impl<C: Component> ComponentExecutor<C> {
             return true;
         }
         let mut work_waits = !self.schedule.is_empty();
-        if work_waits && !std::mem::take(&mut self.step_first) {
+        if work_waits && self.schedule.has_tasks_first() {
             work_waits = false;
             if self.poll_chores(cx) {
                 return self.over;
@@ -257,7 +239,7 @@ impl<C: Component> ComponentExecutor<C> {
             match catch_unwind(AssertUnwindSafe(|| self.step(cx))) {
                 Ok(Progress::More) => {}
                 Ok(Progress::Wait) => {
-                    if !matches!(self.service, Service::Idle) && !self.budget.lasts() {
+                    if !self.service.is_idle() && !self.budget.lasts() {
                         return self.over;
                     }
                     if !work_waits && !self.schedule.is_fresh() {
@@ -281,16 +263,17 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// Says whether that has used the turn up.
     fn poll_chores(&mut self, cx: &mut task::Context<'_>) -> bool {
-        self.slot.activity.poll_tasks(true);
+        self.service.slot.activity.poll_tasks(true);
         let polled = catch_unwind(AssertUnwindSafe(|| self.schedule.poll(cx)));
-        self.slot.activity.poll_tasks(false);
-        self.slot.activity.miss(self.schedule.take_missed());
+        self.service.slot.activity.poll_tasks(false);
+        self.service.slot.activity.miss(self.schedule.take_missed());
         if let Err(payload) = polled {
             self.died(payload, TASK);
         }
         self.handle_limits();
-        self.step_first = self.budget.is_spent();
-        self.step_first
+        let is_spent = self.budget.is_spent();
+        self.schedule.end_poll(is_spent);
+        is_spent
     }
 
     /// One hook, timer or message a little further.
@@ -298,7 +281,7 @@ impl<C: Component> ComponentExecutor<C> {
         if self.state.has_wishes() {
             self.grant();
         }
-        if !matches!(self.service, Service::Idle) {
+        if !self.service.is_idle() {
             return self.advance(cx);
         }
         if self.component.is_none() {
@@ -323,12 +306,7 @@ impl<C: Component> ComponentExecutor<C> {
                 }
             }
         }
-        // A message follows each round and timer, so that those which are late all the time leave
-        // room.
-        if !std::mem::take(&mut self.message_next)
-            && let Some(work) = self.schedule.next_due()
-        {
-            self.message_next = true;
+        if let Some(work) = self.schedule.next_in_turn() {
             return self.do_work(work, cx);
         }
         match self.cell.queue.take(self.state.incarnation, cx.waker()) {
@@ -349,47 +327,54 @@ impl<C: Component> ComponentExecutor<C> {
     fn open(&mut self, mut envelope: BoxedEnvelope<C>, cx: &mut task::Context<'_>) -> Progress {
         let header = envelope.header();
         if header.is_expired() {
-            self.slot.activity.expire();
+            self.service.slot.activity.expire();
             self.cell.return_envelope(envelope, DeliveryError::Expired);
             return Progress::More;
         }
-        if header.is_followed
-            && let Some(why) = self.follow(&*envelope)
-        {
-            self.cell.return_envelope(envelope, why);
-            return Progress::More;
-        }
-        self.begin_message(&header, &mut *envelope);
+        let followed = if header.is_followed { self.follow(&*envelope) } else { Ok(false) };
+        let is_followed = match followed {
+            Ok(is_followed) => is_followed,
+            Err(why) => {
+                self.cell.return_envelope(envelope, why);
+                return Progress::More;
+            }
+        };
+        self.begin_message(&header, &mut *envelope, is_followed);
         drop(envelope);
         self.advance(cx)
     }
 
-    /// Notes the sender to notify if this message causes death; returns why it is not to be served.
-    fn follow(&mut self, envelope: &dyn Envelope<C>) -> Option<DeliveryError> {
+    /// Notes the sender to notify if this message causes death, and returns whether the message is
+    /// blamed by its identity then; fails if it is not to be served.
+    fn follow(&mut self, envelope: &dyn Envelope<C>) -> Result<bool, DeliveryError> {
         if envelope.is_void() {
-            self.slot.activity.expire();
-            return Some(DeliveryError::DeadlinePassed);
+            self.service.slot.activity.expire();
+            return Err(DeliveryError::DeadlinePassed);
         }
         let id = envelope.id();
         if id.is_some()
             && let Some(why) = self.cell.record.refusal(id)
         {
-            return Some(why);
+            return Err(why);
         }
         self.cell.record.begin_service(envelope.revocable(), id);
-        self.followed = id.is_some();
-        None
+        Ok(id.is_some())
     }
 
     /// Fills the contract's slot.
     #[inline]
-    fn begin_message(&mut self, header: &EnvelopeHeader, envelope: &mut dyn Envelope<C>) {
+    fn begin_message(
+        &mut self,
+        header: &EnvelopeHeader,
+        envelope: &mut dyn Envelope<C>,
+        is_followed: bool,
+    ) {
         let at = self.note_message(header, envelope);
         let Some(component) = &self.component else { return };
-        if self.slots_in_use[at].future_slot.refill(envelope.contents(), component) {
-            self.service = Service::Message(at);
+        if self.service.slots_in_use[at].future_slot.refill(envelope.contents(), component) {
+            self.service.current = Service::Message { at, is_followed };
         } else {
-            self.slot.activity.step();
+            self.service.slot.activity.step();
         }
     }
 
@@ -398,65 +383,40 @@ impl<C: Component> ComponentExecutor<C> {
     fn note_message(&mut self, header: &EnvelopeHeader, envelope: &dyn Envelope<C>) -> usize {
         self.state.captured_at.set(Some(header.captured_at));
         message_log::begun(header.name, &self.cell.record.name, self.state.incarnation);
-        let at = self.slot_for(header.contract, header.name, || envelope.future_slot());
-        self.slot.activity.begin(self.slots_in_use[at].label);
+        let at = self.service.slot_for(header.contract, header.name, || envelope.future_slot());
+        self.service.slot.activity.begin(self.service.slots_in_use[at].label);
         at
-    }
-
-    /// Which slot the futures of a contract have.
-    #[inline]
-    fn slot_for(
-        &mut self,
-        contract: TypeId,
-        name: &'static str,
-        make: impl FnOnce() -> Box<dyn FutureSlot<C>>,
-    ) -> usize {
-        let known = self.slots_in_use.iter().position(|in_use| in_use.contract == contract);
-        known.unwrap_or_else(|| {
-            let label = label::number(name);
-            self.slots_in_use.truncate(SLOTS_MAX - 1);
-            self.slots_in_use.push(SlotInUse { contract, label, future_slot: make() });
-            self.slots_in_use.len() - 1
-        })
     }
 
     fn begin_hook(&mut self, hook: Hook) {
         let Some(component) = &self.component else { return };
-        self.slot.activity.begin(hook.label().number());
-        self.service = Service::Hook(hook, Box::pin(run_hook(component.clone(), hook)));
+        self.service.begin_hook(hook, component.clone());
     }
 
     /// What is in service, a little further.
     #[inline]
     fn advance(&mut self, cx: &mut task::Context<'_>) -> Progress {
-        match &mut self.service {
+        match &mut self.service.current {
             Service::Idle => return Progress::More,
-            Service::Message(at) => {
-                if self.slots_in_use[*at].future_slot.poll(cx).is_pending() {
+            &mut Service::Message { at, is_followed } => {
+                if self.service.slots_in_use[at].future_slot.poll(cx).is_pending() {
                     return self.wait();
                 }
-                self.end_message();
+                self.service.current = Service::Idle;
+                if is_followed {
+                    self.cell.record.end_service();
+                }
+                self.service.slot.activity.step();
             }
             Service::Hook(hook, future) => {
                 let Poll::Ready(result) = future.as_mut().poll(cx) else { return self.wait() };
                 let hook = *hook;
-                self.service = Service::Idle;
+                self.service.current = Service::Idle;
                 self.hook_done(hook, result);
-                self.slot.activity.step();
+                self.service.slot.activity.step();
             }
         }
         Progress::More
-    }
-
-    /// The message in service has been served.
-    #[inline]
-    fn end_message(&mut self) {
-        self.service = Service::Idle;
-        if self.followed {
-            self.followed = false;
-            self.cell.record.end_service();
-        }
-        self.slot.activity.step();
     }
 
     /// What is in service awaits something, perhaps what it has just started.
@@ -465,7 +425,7 @@ impl<C: Component> ComponentExecutor<C> {
             self.grant();
         }
         // A limit is set only for an incarnation that is not ready at once.
-        if let Some(began) = self.began.take()
+        if let Some(began) = self.state.began.take()
             && self.lifecycle.is_starting()
         {
             let within = self.cell.record.limits.ready_within;
@@ -477,11 +437,11 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// Builds the component; user code, so it runs under the guard.
     fn build(&mut self) {
-        self.slot.activity.begin(FACTORY.number());
+        self.service.slot.activity.begin(FACTORY.number());
         let cx = Context::new(self.cell.clone(), self.state.clone());
         let component = (self.cell.factory)();
         self.component = Some(Rc::new(ComponentSlot::new(component, cx)));
-        self.slot.activity.step();
+        self.service.slot.activity.step();
         self.pass_reports();
     }
 
@@ -491,7 +451,7 @@ impl<C: Component> ComponentExecutor<C> {
         if let Some(interval) = wishes.interval
             && self.schedule.set_interval(interval)
         {
-            self.slot.activity.run_every(interval);
+            self.service.slot.activity.run_every(interval);
             self.lifecycle.handle_rate_changed();
         }
         if let Some(failure) = wishes.failure {
@@ -509,7 +469,7 @@ impl<C: Component> ComponentExecutor<C> {
     fn do_work(&mut self, work: DueWork, cx: &mut task::Context<'_>) -> Progress {
         match work {
             DueWork::Execute(due) => {
-                self.slot.activity.tick();
+                self.service.slot.activity.tick();
                 self.cell.record.begin_round(platform::now() - due);
                 self.begin_hook(Hook::Execute);
                 self.advance(cx)
@@ -518,15 +478,15 @@ impl<C: Component> ComponentExecutor<C> {
                 if let (Some(component), Some((mut action, missed))) =
                     (&self.component, self.schedule.lift(id))
                 {
-                    self.slot.activity.tick();
-                    self.slot.activity.miss(missed.into());
-                    self.slot.activity.begin(TIMER.number());
+                    self.service.slot.activity.tick();
+                    self.service.slot.activity.miss(missed.into());
+                    self.service.slot.activity.begin(TIMER.number());
                     {
                         let mut contents = component.contents.borrow_mut();
                         let (component, cx) = contents.both();
                         action(component, cx);
                     }
-                    self.slot.activity.step();
+                    self.service.slot.activity.step();
                     self.schedule.put_back(id, action);
                 }
                 Progress::More
@@ -539,38 +499,11 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// Gives up what is in service; its sender is notified.
     fn drop_service(&mut self) {
-        if matches!(self.service, Service::Idle) {
+        if self.service.is_idle() {
             return;
         }
         self.lose_message();
-        self.followed = false;
-        self.dispose_service(Blame::Log);
-        self.slot.activity.step();
-    }
-}
-
-#[expect(
-    clippy::await_holding_refcell_ref,
-    reason = "messages wait while one is served; the control queue does not borrow"
-)]
-async fn run_hook<C: Component>(slot: Rc<ComponentSlot<C>>, hook: Hook) -> Result<(), Failure> {
-    let mut contents = slot.contents.borrow_mut();
-    let (component, cx) = contents.both();
-    if let Some(injected) = cx.before() {
-        injected.await;
-    }
-    match hook {
-        Hook::Initialize if cx.fails_initialization() => Err("it was told to fail".into()),
-        Hook::Initialize => component.on_initialize(cx).await,
-        Hook::Startup => component.on_startup(cx).await,
-        Hook::Activated => component.on_activated(cx).await,
-        Hook::Execute => component.on_execute(cx).await,
-        Hook::RateChanged => component.on_rate_changed(cx).await,
-        Hook::Deactivated => component.on_deactivated(cx).await,
-        Hook::Aborting => component.on_aborting(cx).await,
-        Hook::Error => component.on_error(cx).await,
-        Hook::Reset => component.on_reset(cx).await,
-        Hook::Shutdown => component.on_shutdown(cx).await,
-        Hook::Finalize => component.on_finalize(cx).await,
+        self.service.dispose(&self.cell.record, Blame::Log);
+        self.service.slot.activity.step();
     }
 }

@@ -73,8 +73,8 @@ impl<C: Component> Drop for SharedExecutor<C> {
                 executors.remove(&key);
             }
         });
-        executor.cell.record.environment.watch_list.leave(executor.slot.index);
-        executor.commands.set_waker(None);
+        executor.cell.record.environment.watch_list.leave(executor.service.slot.index);
+        executor.control.commands.set_waker(None);
         executor.drop_before_the_end();
     }
 }

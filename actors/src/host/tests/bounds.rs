@@ -2,51 +2,11 @@
 
 use super::{Add, Note, Slow, Stage, acc, logged};
 use crate::{ChildSpec, Component, Context, DeliveryError, Event, Handle, WhenFull};
-use blastema_contract::child::ChildEvent;
+use blastema_contract::child::{ChildEvent, ChildOrder};
 use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_doubles::{advance, paused, settle};
 use std::time::Duration;
 use tokio::task::spawn_local;
-
-#[test]
-fn a_full_queue_does_what_its_policy_says() {
-    paused(async {
-        let check = async |name: &str, policy, expected: &[u64], dead: u64| {
-            let stage = Stage::new();
-            let (spec, log) = acc(name);
-            let (_child, acc) = stage.start(spec.queue(2, policy)).await;
-            for n in 1..=4 {
-                if let Err(refused) = acc.tell(Note(n)) {
-                    assert_eq!((refused.kind, refused.message), (DeliveryError::Full, Note(n)));
-                }
-            }
-            settle().await;
-            assert_eq!(logged(&log), expected, "{name}");
-            let dead_letters = &stage.environment.dead_letters;
-            assert_eq!(dead_letters.count(acc.name(), DeadReason::Full), dead, "{name}");
-        };
-        check("refuse", WhenFull::Refuse, &[1, 2], 0).await;
-        check("wait", WhenFull::Wait, &[1, 2], 0).await;
-        check("oldest", WhenFull::DropOldest, &[3, 4], 2).await;
-        check("newest", WhenFull::DropNewest, &[1, 2], 2).await;
-    });
-}
-
-#[test]
-fn deliver_waits_for_room() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, log) = acc("acc");
-        let (_child, acc) = stage.start(spec.queue(2, WhenFull::Wait)).await;
-
-        for n in 1..=9 {
-            acc.deliver(Note(n)).await.unwrap();
-        }
-
-        settle().await;
-        assert_eq!(logged(&log), [1, 2, 3, 4, 5, 6, 7, 8, 9]);
-    });
-}
 
 #[test]
 fn deliver_ends_when_the_receiver_is_stopped() {
@@ -63,7 +23,7 @@ fn deliver_ends_when_the_receiver_is_stopped() {
         settle().await;
         assert!(!waiting.is_finished());
 
-        child.stop();
+        child.order(ChildOrder::Stop { again: false });
 
         let refused = waiting.await.unwrap().unwrap_err();
         assert_eq!((refused.kind, refused.message), (DeliveryError::Stopped, Note(2)));
@@ -100,7 +60,7 @@ fn what_is_left_at_a_stop_goes_back_to_askers_and_to_the_dead_letters() {
         });
         settle().await;
 
-        child.stop();
+        child.order(ChildOrder::Stop { again: false });
 
         let back = asked.await.unwrap().unwrap_err();
         assert_eq!((back.kind, back.message), (DeliveryError::Stopped, Some(Add(3))));

@@ -1,6 +1,6 @@
 //! Handlers that burn 10 to 30 ms on threads that they share, judged by counts and order.
 
-use super::{Log, Stage, logged};
+use super::{ChildOrder, Log, Stage, logged};
 use crate::arbiter::pool::ArbiterPool;
 use crate::{ChildSpec, Component, Context, Event, Failure, Handle, Ports, WhenFull};
 use blastema_contract::child::ChildEvent;
@@ -188,7 +188,7 @@ mod real {
             worked(&steps, 30).await;
 
             assert!(longest(&steps) <= 1, "{steps:?}");
-            tasked.stop();
+            tasked.order(ChildOrder::Stop { again: false });
             stage.reports.wait(|report| report.event == ChildEvent::Stopped).await;
             stage.environment.arbiters.stop();
         });
@@ -205,7 +205,7 @@ mod real {
             worked(&steps, 5).await;
 
             let before = steps.lock().unwrap().len();
-            child.stop();
+            child.order(ChildOrder::Stop { again: false });
             stage.reports.wait(|report| report.event == ChildEvent::Stopped).await;
 
             let after = steps.lock().unwrap().len();

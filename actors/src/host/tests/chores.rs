@@ -127,7 +127,7 @@ async fn kit() -> Kit {
     let (l, d) = (log.clone(), detached.clone());
     let spec = ChildSpec::new("worker", move || Worker { log: l.clone(), detached: d.clone() });
     let (mut child, worker) = stage.start(spec).await;
-    child.set_restart_grant(order(5));
+    child.order(order(5));
     Kit { stage, _child: child, worker, log, detached }
 }
 
@@ -224,46 +224,6 @@ fn a_detached_sender_ends_with_the_incarnation_that_made_it() {
         assert_eq!((refused.kind, refused.message), (DeliveryError::Fenced, Said(2)));
         assert_eq!(sender.ask(Said(3)).await.unwrap_err().kind, DeliveryError::Fenced);
         assert_eq!(logged(&received), [1]);
-    });
-}
-
-struct Crier;
-impl Component for Crier {
-    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        let ear = cx.sender::<Said>("ear").map_err(|why| why.to_string())?;
-        let mut n = 0;
-        cx.every(TICK, move |_, _| {
-            n += 1;
-            let _ = ear.tell(Said(n));
-        });
-        Ok(())
-    }
-}
-impl Handle<Said> for Crier {
-    async fn handle(&mut self, _: Said, _: &mut Context<Self>) {}
-}
-
-#[test]
-fn an_isolated_component_neither_sends_nor_receives_until_it_may_again() {
-    paused(async {
-        let stage = Stage::new();
-        let received = Log::default();
-        let kept = received.clone();
-        let (_ear, _) = stage.start(ChildSpec::new("ear", move || Ear(kept.clone()))).await;
-        let (mut child, crier) = stage.start(ChildSpec::new("crier", || Crier)).await;
-        advance(Duration::from_millis(25)).await;
-        assert_eq!(logged(&received), [1, 2]);
-
-        child.isolate(true);
-        advance(Duration::from_millis(30)).await;
-        assert_eq!(logged(&received), [0; 0]);
-        let refused = crier.tell(Said(0)).unwrap_err();
-        assert_eq!((refused.kind, refused.message), (DeliveryError::isolated("crier"), Said(0)));
-
-        child.isolate(false);
-        advance(Duration::from_millis(20)).await;
-        assert_eq!(logged(&received), [6, 7]);
-        crier.tell(Said(0)).unwrap();
     });
 }
 

@@ -1,6 +1,6 @@
 //! What a component left behind in threads, tasks and publishers is fenced with its incarnation.
 
-use super::{Boom, Log, Stage, boom, logged, order};
+use super::{Boom, ChildOrder, Log, Stage, boom, logged, order};
 use crate::arbiter::pool::ArbiterPool;
 use crate::topic::Publisher;
 use crate::{ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Ports};
@@ -94,14 +94,14 @@ fn a_publisher_is_fenced_when_its_incarnation_is_given_up_or_stopped() {
         };
         assert_eq!(publish(0, 1), Ok(()));
 
-        child.abandon();
+        child.order(ChildOrder::Abandon);
         assert_eq!(publish(0, 2), Err(DeliveryError::Fenced));
         stage.begin(&mut *child, 2).await;
         assert_eq!(publish(1, 3), Ok(()));
-        child.isolate(true);
+        child.order(ChildOrder::Isolate(true));
         assert_eq!(publish(1, 4), Err(DeliveryError::SenderIsolated));
-        child.isolate(false);
-        child.stop();
+        child.order(ChildOrder::Isolate(false));
+        child.order(ChildOrder::Stop { again: false });
         settle().await;
         assert_eq!(publish(1, 5), Err(DeliveryError::Fenced));
 
@@ -121,7 +121,7 @@ fn what_an_isolated_component_publishes_without_a_result_is_counted() {
         let before = logged(&log).len();
         assert!(before >= 2, "{before}");
 
-        child.isolate(true);
+        child.order(ChildOrder::Isolate(true));
         advance(Duration::from_millis(500)).await;
 
         assert_eq!(logged(&log), [0; 0]);
@@ -144,7 +144,7 @@ mod real {
             let (spec, log) = ear();
             let (_ear, _) = stage.start(spec).await;
             let (mut child, source) = stage.start(source(&bench)).await;
-            child.set_restart_grant(order(5));
+            child.order(order(5));
             let first = bench.publishers.lock().unwrap()[0].clone();
             let (tell, answers) = thread(first);
 

@@ -1,12 +1,12 @@
 //! Hangs, fences, lost arbiters; silence and waiting.
 
-use super::{Log, Stage, acc, logged, order};
+use super::{ChildOrder, Log, Stage, acc, logged, order};
 use crate::arbiter::pool::ArbiterPool;
 use crate::liveness::sampler;
 use crate::liveness::sampler::SamplerGuard;
 use crate::{
-    ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Incarnation, ObjectName,
-    Ports, Sender,
+    ChildSpec, Component, Context, DeliveryError, Event, Handle, Incarnation, ObjectName, Ports,
+    Sender,
 };
 use blastema_contract::child::ChildEvent;
 use blastema_contract::reports::LivenessReported;
@@ -93,7 +93,7 @@ impl Site {
             HangDetectorConfig { grace, gap: Duration::from_secs(1), ..Default::default() };
         let environment = &stage.environment;
         let (list, arbiters) = (environment.watch_list.clone(), environment.arbiters.clone());
-        let watch = sampler::start_thread(list, arbiters, config, sighted.recipient()).unwrap();
+        let watch = sampler::start(list, arbiters, config, sighted.recipient(), true).unwrap();
         let (open, gate) = mpsc::channel();
         let received = Log::default();
         let kept = received.clone();
@@ -200,93 +200,13 @@ impl Handle<Hold> for Witness {
     }
 }
 
-/// Gives signs of life until it is told not to.
-struct Beater(bool);
-
-#[derive(Clone, Event)]
-enum Do {
-    Hush,
-    Speak,
-    Wait(u64),
-    WaitDeclared(u64),
-}
-
-impl Component for Beater {
-    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        cx.every(Duration::from_millis(50), |beater: &mut Beater, cx| {
-            if beater.0 {
-                cx.alive();
-            }
-        });
-        Ok(())
-    }
-}
-
-impl Handle<Do> for Beater {
-    async fn handle(&mut self, what: Do, cx: &mut Context<Self>) {
-        match what {
-            Do::Hush => self.0 = false,
-            Do::Speak => self.0 = true,
-            Do::Wait(millis) => tokio::time::sleep(Duration::from_millis(millis)).await,
-            Do::WaitDeclared(millis) => {
-                let span = Duration::from_millis(millis);
-                let _declared = cx.long_operation(2 * span);
-                tokio::time::sleep(span).await;
-            }
-        }
-    }
-}
-
 fn watched() -> (Stage, Probe<LivenessReported>, SamplerGuard) {
     let (stage, sighted) = (Stage::new(), Probe::start());
     let environment = &stage.environment;
     let (list, arbiters) = (environment.watch_list.clone(), environment.arbiters.clone());
-    let watch =
-        sampler::start_task(list, arbiters, HangDetectorConfig::default(), sighted.recipient());
+    let config = HangDetectorConfig::default();
+    let watch = sampler::start(list, arbiters, config, sighted.recipient(), false).unwrap();
     (stage, sighted, watch)
-}
-
-#[test]
-fn silence_is_seen_and_its_end_too() {
-    paused(async {
-        let (stage, sighted, _watch) = watched();
-        let spec = ChildSpec::new("beater", || Beater(true));
-        let push = Liveness::push(Duration::from_millis(100), 3);
-        let (mut child, beater) = stage.start(spec.liveness(push)).await;
-        advance(Duration::from_secs(5)).await;
-        assert_eq!(sighted.drain(), []);
-
-        beater.tell(Do::Hush).unwrap();
-        advance(Duration::from_secs(1)).await;
-        let (object, incarnation) = (name("beater"), Incarnation(1));
-        let seen = sighted.drain();
-        let [
-            LivenessReported(LivenessEvent::Component {
-                finding: Finding::Silent { age: silent_for },
-                ..
-            }),
-        ] = seen[..]
-        else {
-            panic!("{seen:?}")
-        };
-        assert!(silent_for >= Duration::from_millis(350), "{silent_for:?}");
-        assert!(silent_for <= Duration::from_millis(460), "{silent_for:?}");
-
-        beater.tell(Do::Speak).unwrap();
-        advance(Duration::from_millis(200)).await;
-        assert_eq!(
-            sighted.drain(),
-            [LivenessReported(LivenessEvent::Component {
-                object,
-                incarnation,
-                finding: Finding::Spoke
-            })]
-        );
-
-        child.stop();
-        advance(Duration::from_secs(5)).await;
-        assert_eq!(sighted.drain(), [], "who is stopped need not speak");
-    });
 }
 
 #[test]
@@ -300,40 +220,6 @@ fn a_round_that_succeeds_is_a_sign_of_life() {
         let (_child, _) = stage.start(spec).await;
         advance(Duration::from_secs(10)).await;
         assert_eq!(sighted.drain(), []);
-    });
-}
-
-#[test]
-fn a_handler_that_waits_too_long_is_seen_unless_it_said_so() {
-    paused(async {
-        let (stage, sighted, _watch) = watched();
-        let spec = ChildSpec::new("beater", || Beater(true)).max_wait(Duration::from_secs(1));
-        let (_child, beater) = stage.start(spec).await;
-
-        beater.tell(Do::WaitDeclared(3000)).unwrap();
-        advance(Duration::from_secs(4)).await;
-        assert_eq!(sighted.drain(), []);
-
-        beater.tell(Do::Wait(3000)).unwrap();
-        advance(Duration::from_secs(4)).await;
-        let seen = sighted.drain();
-        let [
-            LivenessReported(LivenessEvent::Component {
-                ref object,
-                finding: Finding::Waits { during, age, .. },
-                ..
-            }),
-            ref after,
-        ] = seen[..]
-        else {
-            panic!("{seen:?}")
-        };
-        assert_eq!(
-            *after,
-            LivenessReported(LivenessEvent::Resumed { objects: [name("beater")].into() })
-        );
-        assert_eq!((object, during), (&name("beater"), "Do"));
-        assert!(age >= Duration::from_secs(1) && age < Duration::from_millis(1200), "{age:?}");
     });
 }
 
@@ -377,7 +263,7 @@ mod real {
             assert_eq!(during, "Block");
             assert_eq!(row.queue.unwrap().queued, 1);
 
-            child.abandon();
+            child.order(ChildOrder::Abandon);
             let died = hung.await.unwrap().unwrap_err().kind;
             assert_eq!(
                 died,
@@ -424,7 +310,7 @@ mod real {
             let topics = &site.stage.environment.topics();
             topics.publisher("news").unwrap().publish(Said(8)).unwrap();
 
-            child.abandon();
+            child.order(ChildOrder::Abandon);
             let lost =
                 site.sighted.wait(|sighted| matches!(sighted.0, LivenessEvent::Lost { .. })).await;
             let (culprit, victims) = (name("blocker"), [name("neighbour")].into());
@@ -435,7 +321,7 @@ mod real {
             assert_eq!((by, behind), (culprit, victims));
             assert_eq!(arbiters.abandoned(), 1);
             assert_eq!(*reported.lock().unwrap(), [[(name("blocker"), 1)].into()]);
-            moving.abandon();
+            moving.order(ChildOrder::Abandon);
             assert_eq!(site.stage.begin(&mut *moving, 2).await, ChildEvent::Started);
             site.until("queue and events came along", || site.received.lock().unwrap().len() == 2)
                 .await;
@@ -462,7 +348,7 @@ mod real {
             let (culprit, _, _, victims) = site.hangs().await;
             assert_eq!((culprit, victims), (name("blocker"), vec![]));
 
-            child.abandon();
+            child.order(ChildOrder::Abandon);
             assert_eq!(site.stage.begin(&mut *child, 2).await, ChildEvent::Started);
             let arbiters = &site.stage.environment.arbiters;
             site.until("the thread is given up", || arbiters.abandoned() == 1).await;
@@ -487,7 +373,7 @@ mod real {
             let (culprit, _, during, _) = site.hangs().await;
             assert_eq!((culprit, during), (name("spawner"), "a task of its own"));
 
-            child.abandon();
+            child.order(ChildOrder::Abandon);
             site.open.send(()).unwrap();
             site.until("the thread goes on", || site.stage.environment.arbiters.abandoned() == 0)
                 .await;
@@ -514,7 +400,7 @@ mod real {
             let (culprit, _, during, victims) = site.hangs().await;
             assert_eq!((culprit, during), (name("holder"), "Hold"));
             assert_eq!(victims, [name("witness")]);
-            child.abandon();
+            child.order(ChildOrder::Abandon);
             site.open.send(()).unwrap();
 
             site.until("it speaks", || logged(&site.received) == [9]).await;
@@ -543,9 +429,9 @@ mod real {
             publisher.publish(Hold).unwrap();
             site.hangs().await;
             publisher.publish(Hold).unwrap();
-            culprit.abandon();
+            culprit.order(ChildOrder::Abandon);
             site.sighted.wait(|sighted| matches!(sighted.0, LivenessEvent::Lost { .. })).await;
-            victim.abandon();
+            victim.order(ChildOrder::Abandon);
             assert_eq!(site.stage.begin(&mut *victim, 2).await, ChildEvent::Started);
 
             site.until("both events came along", || site.received.lock().unwrap().len() == 2).await;
@@ -567,7 +453,7 @@ mod real {
             let spec = ChildSpec::new("relapsing", move || Relapsing(gate.clone()));
             let (mut child, relapsing) =
                 site.stage.start(spec.max_block(Duration::from_secs(60))).await;
-            child.set_restart_grant(order(1));
+            child.order(order(1));
             relapsing.tell(Said(0)).unwrap();
             relapsing.tell(Said(1)).unwrap();
 
@@ -584,7 +470,7 @@ mod real {
             site.stage.reports.wait(|report| died(&report.event)).await;
             assert_eq!(site.stage.exits.drain(), [], "once");
             site.open.send(()).unwrap();
-            child.stop();
+            child.order(ChildOrder::Stop { again: false });
             site.stage.reports.wait(|report| report.event == ChildEvent::Stopped).await;
         });
     }

@@ -4,7 +4,7 @@ use super::{Stage, order};
 use crate::messaging::death_watch::Watchable;
 use crate::messaging::injection::Injection;
 use crate::{ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Incarnation};
-use blastema_contract::child::ChildEvent;
+use blastema_contract::child::{ChildEvent, ChildOrder};
 use blastema_contract::reports::ExitReason;
 use blastema_core::{FaultKind, Lifecycle};
 use blastema_doubles::{advance, paused, settle};
@@ -114,7 +114,7 @@ fn an_incarnation_runs_from_initialisation_to_its_end_in_order() {
         assert_eq!(reported.last().unwrap(), &(Lifecycle::Active, None));
         assert_eq!(reference.state(), Lifecycle::Active);
 
-        child.stop();
+        child.order(ChildOrder::Stop { again: false });
         settle().await;
 
         assert_eq!(diary.ran(), ["on_deactivated", "on_shutdown", "on_finalize"]);
@@ -123,7 +123,7 @@ fn an_incarnation_runs_from_initialisation_to_its_end_in_order() {
         assert_eq!(stage.exits.drain().pop().unwrap().exit, ExitReason::Stopped);
         assert_eq!(reference.tell(Do::Fail).unwrap_err().kind, DeliveryError::Stopped);
 
-        child.stop();
+        child.order(ChildOrder::Stop { again: false });
         settle().await;
         assert_eq!(stage.reports.drain().pop().unwrap().event, ChildEvent::Stopped);
     });
@@ -149,57 +149,6 @@ fn on_execute_keeps_its_rate_and_skips_what_it_missed() {
 }
 
 #[test]
-fn a_failed_initialisation_is_fatal_and_finalised() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, diary) = diary();
-        let (mut child, _) = stage.add(spec);
-        diary.plan("on_initialize", Outcome::Fail);
-
-        let event = stage.fail_to_begin(&mut *child, 1).await;
-
-        let reason = "on_initialize failed".to_owned();
-        assert_eq!(event, ChildEvent::StartFailed { reason: reason.clone() });
-        settle().await;
-        assert_eq!(diary.ran(), ["on_initialize", "on_finalize"]);
-        assert!(states(&stage).contains(&(Lifecycle::Fatal, Some(reason))));
-        assert_eq!(stage.exits.drain().pop().unwrap().exit, ExitReason::Fatal);
-        assert!(stage.reports.drain().is_empty(), "it is not told twice");
-
-        assert_eq!(stage.begin(&mut *child, 2).await, ChildEvent::Started);
-    });
-}
-
-#[test]
-fn a_hook_that_fails_leads_to_error_and_a_reset_back_to_work() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, diary) = diary();
-        let (mut child, reference) = stage.start(spec.rate_hz(10.0)).await;
-        settle().await;
-        diary.ran();
-        states(&stage);
-        diary.plan("on_execute", Outcome::Fail);
-
-        advance(Duration::from_millis(150)).await;
-
-        assert_eq!(diary.ran(), ["on_execute", "on_aborting", "on_error"]);
-        let reason = Some("on_execute failed".to_owned());
-        assert_eq!(states(&stage), [(Lifecycle::Error, reason)]);
-        advance(Duration::from_secs(1)).await;
-        assert_eq!(diary.ran().len(), 0, "nothing is executed in error");
-
-        child.reset();
-        settle().await;
-        assert_eq!(diary.ran()[..2], ["on_reset", "on_activated"]);
-        assert_eq!(stage.reports.drain().pop().unwrap().event, ChildEvent::Reset);
-        assert_eq!(reference.state(), Lifecycle::Active);
-        advance(Duration::from_millis(150)).await;
-        assert!(diary.ran().contains(&"on_execute"));
-    });
-}
-
-#[test]
 fn messages_wait_while_a_component_is_in_error() {
     paused(async {
         let stage = Stage::new();
@@ -210,7 +159,7 @@ fn messages_wait_while_a_component_is_in_error() {
         settle().await;
         assert_eq!((reference.state(), reference.queued()), (Lifecycle::Error, 1));
 
-        child.reset();
+        child.order(ChildOrder::Reset);
         settle().await;
 
         assert_eq!(reference.queued(), 0);
@@ -244,69 +193,6 @@ fn a_component_leaves_work_and_returns_when_it_is_asked_to() {
 }
 
 #[test]
-fn a_failed_reset_and_a_fatal_failure_end_the_incarnation() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, diary) = diary();
-        let (mut child, reference) = stage.start(spec).await;
-        reference.tell(Do::Fail).unwrap();
-        settle().await;
-        diary.plan("on_reset", Outcome::Fail);
-        child.reset();
-        settle().await;
-        let events: Vec<_> = stage.reports.drain().into_iter().map(|r| r.event).collect();
-        assert!(matches!(events[0], ChildEvent::ResetFailed { .. }), "{events:?}");
-        assert!(matches!(events[1], ChildEvent::Died { .. }), "{events:?}");
-        child.reset();
-        settle().await;
-        let event = stage.reports.drain().pop().unwrap().event;
-        assert!(matches!(event, ChildEvent::ResetFailed { .. }));
-
-        diary.plan("on_activated", Outcome::FailFatally);
-        let event = stage.fail_to_begin(&mut *child, 2).await;
-        assert!(matches!(event, ChildEvent::StartFailed { .. }), "{event:?}");
-        settle().await;
-        assert_eq!(diary.ran().last(), Some(&"on_finalize"));
-    });
-}
-
-#[test]
-fn an_incarnation_that_is_not_ready_in_time_has_failed_to_start() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, diary) = diary();
-        let (mut child, _) = stage.add(spec.ready_within(Duration::from_secs(2)));
-        diary.plan("on_startup", Outcome::Hang);
-
-        let event = stage.fail_to_begin(&mut *child, 1).await;
-
-        let ChildEvent::StartFailed { reason } = event else { panic!("{event:?}") };
-        assert_eq!(reason, "it was not ready within 2s");
-        settle().await;
-        assert_eq!(diary.ran(), ["on_initialize", "on_startup", "on_finalize"]);
-    });
-}
-
-#[test]
-fn an_incarnation_that_does_not_end_in_time_is_ended_out_of_order() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, diary) = diary();
-        let (mut child, _) = stage.start(spec.shutdown_within(Duration::from_secs(2))).await;
-        diary.plan("on_deactivated", Outcome::Hang);
-
-        child.stop();
-        advance(Duration::from_millis(1900)).await;
-        assert!(stage.reports.drain().is_empty());
-        advance(Duration::from_millis(200)).await;
-
-        assert_eq!(stage.reports.drain().pop().unwrap().event, ChildEvent::Stopped);
-        let cut_off = "on_deactivated was cut off: it had not stopped within 2s".to_owned();
-        assert!(states(&stage).contains(&(Lifecycle::Initialized, Some(cut_off))));
-    });
-}
-
-#[test]
 fn each_hook_that_fails_while_an_incarnation_ends_says_so() {
     for outcome in [Outcome::Fail, Outcome::FailFatally] {
         paused(async move {
@@ -319,7 +205,7 @@ fn each_hook_that_fails_while_an_incarnation_ends_says_so() {
             let hooks = ["on_deactivated", "on_shutdown", "on_finalize"];
             hooks.iter().for_each(|hook| diary.plan(hook, outcome));
 
-            child.stop();
+            child.order(ChildOrder::Stop { again: false });
             settle().await;
 
             assert_eq!(diary.ran(), hooks, "the others run all the same");
@@ -379,7 +265,7 @@ fn states_that_a_replacement_passes_through_in_one_poll_are_told_as_one() {
     paused(async {
         let stage = Stage::new();
         let (mut child, fragile) = stage.start(ChildSpec::new("fragile", || Fragile)).await;
-        child.set_restart_grant(order(3));
+        child.order(order(3));
         stage.states.drain();
 
         fragile.tell(Die).unwrap();

@@ -25,7 +25,7 @@ use crate::component::environment::ComponentEnvironment;
 use crate::node::assembly::with_features;
 use crate::runtime::reports::FaultReports;
 use crate::{ActorRef, Component, Context, Event, Handle, Ports, Request};
-use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
+use blastema_contract::child::{Child, ChildEvent, ChildOrder, ChildReport, RestartGrant};
 use blastema_contract::reports::{Exited, FaultDeclared, StateReported};
 use blastema_core::Incarnation;
 use blastema_doubles::Probe;
@@ -70,16 +70,6 @@ impl Stage {
         self.reports.wait(|report| report.object == *child.name()).await.event
     }
 
-    /// Begins one that fails to start, and waits until it has ended.
-    pub(super) async fn fail_to_begin(
-        &self,
-        child: &mut dyn Child,
-        incarnation: u64,
-    ) -> ChildEvent {
-        assert_eq!(self.begin(child, incarnation).await, ChildEvent::FailsToStart);
-        self.reports.wait(|report| report.object == *child.name()).await.event
-    }
-
     /// A component in its first incarnation.
     pub(super) async fn start<C: Component>(
         &self,
@@ -91,8 +81,8 @@ impl Stage {
     }
 }
 
-pub(super) fn order(times: u32) -> Option<RestartGrant> {
-    Some(RestartGrant { times, period: Duration::from_secs(10) })
+pub(super) fn order(times: u32) -> ChildOrder {
+    ChildOrder::RestartGrant(Some(RestartGrant { times, period: Duration::from_secs(10) }))
 }
 
 pub(super) type Log = Arc<Mutex<Vec<u64>>>;

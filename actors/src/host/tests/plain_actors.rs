@@ -5,6 +5,7 @@ use crate::plain::{self, Deliver, ServeRequest};
 use crate::{ChildSpec, Component, Context, DeliveryError, Handle, Sender};
 use actix::Actor;
 use actix::prelude::Handler;
+use blastema_contract::child::ChildOrder;
 use blastema_doubles::{paused, settle};
 
 struct Plain(u64);
@@ -41,7 +42,7 @@ fn a_plain_actor_sends_to_components_through_a_recipient() {
         settle().await;
         assert_eq!(logged(&log), [5]);
 
-        child.stop();
+        child.order(ChildOrder::Stop { again: false });
         settle().await;
         assert_eq!(add.send(Deliver(Add(4))).await.unwrap(), Err(DeliveryError::Stopped));
     });

@@ -1,6 +1,6 @@
 //! Every death is reported, also where a second panic follows before the first was reported.
 
-use super::{Log, Stage, logged, order};
+use super::{ChildOrder, Log, Stage, logged, order};
 use crate::arbiter::pool::ArbiterPool;
 use crate::{ChildSpec, Component, Context, Event, Handle, Incarnation, Ports};
 use blastema_contract::child::ChildEvent;
@@ -77,7 +77,7 @@ fn each_incarnation_that_a_condition_ends_within_a_batch_is_reported() {
     paused(async {
         let stage = Stage::new();
         let (mut child, _) = stage.start(picky("picky").0).await;
-        child.set_restart_grant(order(2));
+        child.order(order(2));
 
         (101..=104).for_each(|n| publish(&stage, "other", n));
         settle().await;
@@ -100,12 +100,12 @@ fn an_incarnation_that_is_given_up_leaves_the_report_of_the_incarnation_before_i
     paused(async {
         let stage = Stage::new();
         let (mut child, picky) = stage.start(picky("picky").0).await;
-        child.set_restart_grant(order(5));
+        child.order(order(5));
         let executor = crate::host::executor::executor_here(&picky.0).unwrap().upgrade().unwrap();
 
         // On the spot, before the executor has its turn.
         executor.borrow_mut().die_of(Box::new("in a condition"), "a condition of a subscription");
-        child.abandon();
+        child.order(ChildOrder::Abandon);
         settle().await;
 
         let exits = stage.exits.drain();
@@ -233,7 +233,7 @@ mod real {
 
             clingy.tell(Sample(7)).unwrap();
             held.until_a_thread_waits().await;
-            child.abandon();
+            child.order(ChildOrder::Abandon);
 
             let exited = stage.exits.expect().await;
             let ExitReason::Panicked { text, .. } = &exited.exit else { panic!("{exited:?}") };
@@ -259,7 +259,7 @@ mod real {
 
             trap.tell(Sample(7)).unwrap();
             held.until_a_thread_waits().await;
-            child.abandon();
+            child.order(ChildOrder::Abandon);
 
             let exited = tokio::time::timeout(Duration::from_secs(30), stage.exits.expect()).await;
             let exited = exited.expect("the panic is reported while it unwinds");
@@ -291,11 +291,11 @@ mod real {
                 Clingy { held: None }
             });
             let (mut child, clingy) = stage.start(spec).await;
-            child.set_restart_grant(order(1));
+            child.order(order(1));
 
             clingy.tell(Sample(7)).unwrap();
             held.until_a_thread_waits().await;
-            child.abandon();
+            child.order(ChildOrder::Abandon);
 
             let exited = stage.exits.expect().await;
             assert_eq!(exited.restarted_as, Some(Incarnation(2)));

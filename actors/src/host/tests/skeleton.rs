@@ -43,7 +43,7 @@ fn bytes_from_outside_are_served_and_the_reply_goes_back_as_bytes() {
         let stage = Stage::new();
         let (spec, log) = acc("acc");
         let (mut child, _) = stage.start(spec).await;
-        child.set_restart_grant(order(9));
+        child.order(order(9));
         let registry = &stage.environment.registry;
         let (identity, add) = registry.skeleton(&name("acc"), Add::NAME).unwrap();
         assert_eq!(identity.fingerprint, ContractIdentity::of::<Add>().fingerprint);

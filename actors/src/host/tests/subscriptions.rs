@@ -1,6 +1,6 @@
 //! Conditions under guard and watch, hubs of ended incarnations, and events across a hang.
 
-use super::{Log, Stage, logged};
+use super::{ChildOrder, Log, Stage, logged};
 use crate::arbiter::pool::ArbiterPool;
 use crate::liveness::sampler;
 use crate::liveness::sampler::SamplerGuard;
@@ -91,7 +91,7 @@ fn watched(stage: &Stage, grace: Duration) -> (Probe<LivenessReported>, SamplerG
     let config = HangDetectorConfig { grace, gap: Duration::from_secs(1), ..Default::default() };
     let (list, arbiters) =
         (stage.environment.watch_list.clone(), stage.environment.arbiters.clone());
-    let guard = sampler::start_thread(list, arbiters, config, sighted.recipient()).unwrap();
+    let guard = sampler::start(list, arbiters, config, sighted.recipient(), true).unwrap();
     (sighted, guard)
 }
 
@@ -302,9 +302,9 @@ mod real {
                 })
                 .await;
             (7..=9).for_each(|n| publish(&stage, n));
-            culprit.abandon();
+            culprit.order(ChildOrder::Abandon);
             sighted.wait(|sighted| matches!(sighted.0, LivenessEvent::Lost { .. })).await;
-            moving.abandon();
+            moving.order(ChildOrder::Abandon);
             let begun = stage.begin(&mut *moving, 2).await;
             assert_eq!(begun, ChildEvent::Started);
             (10..=12).for_each(|n| publish(&stage, n));
@@ -329,13 +329,13 @@ mod real {
             for incarnation in 1..=20 {
                 assert_eq!(stage.begin(&mut *child, incarnation).await, ChildEvent::Started);
                 assert_eq!(hubs(&stage), 1, "in incarnation {incarnation}");
-                child.abandon();
+                child.order(ChildOrder::Abandon);
             }
             assert_eq!(stage.begin(&mut *child, 21).await, ChildEvent::Started);
             publish(&stage, 1);
             until("it hears", || logged(&log) == [1]).await;
 
-            child.retire();
+            child.order(ChildOrder::Retire);
             assert_eq!(hubs(&stage), 0);
             stage.environment.arbiters.stop();
         });

@@ -5,7 +5,7 @@ use crate::topic::{EventForward, Reservation, TopicKey};
 use crate::{
     ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Ports, WhenFull,
 };
-use blastema_contract::child::ChildEvent;
+use blastema_contract::child::{ChildEvent, ChildOrder};
 use blastema_contract::reports::ExitReason;
 use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::{
@@ -114,7 +114,7 @@ fn a_subscription_ends_with_a_stop_and_returns_with_the_next_incarnation() {
         let stage = Stage::new();
         let (spec, log) = listener("ear");
         let (mut child, ear) = stage.start(spec).await;
-        child.set_restart_grant(order(1));
+        child.order(order(1));
         ear.tell(boom("x")).unwrap();
         settle().await;
         publish(&stage, "other", 1);
@@ -131,7 +131,7 @@ fn a_subscription_ends_with_a_stop_and_returns_with_the_next_incarnation() {
         settle().await;
         assert_eq!(logged(&log), [2]);
 
-        child.stop();
+        child.order(ChildOrder::Stop { again: false });
         settle().await;
         publish(&stage, "other", 3);
         settle().await;
@@ -151,8 +151,8 @@ fn a_panic_in_a_condition_or_on_an_event_is_the_listeners_alone() {
         let ((one, one_log), (two, two_log)) = (listener("one"), listener("two"));
         let (mut one, _) = stage.start(one).await;
         let (mut two, _) = stage.start(two).await;
-        one.set_restart_grant(order(5));
-        two.set_restart_grant(order(5));
+        one.order(order(5));
+        two.order(order(5));
 
         publish(&stage, Sample::NAME, 666);
         publish(&stage, "other", 13);
@@ -193,7 +193,7 @@ fn the_replacement_of_a_listener_that_dies_of_an_event_begins_without_another() 
     paused(async {
         let stage = Stage::new();
         let (mut child, _) = stage.start(listener("ear").0).await;
-        child.set_restart_grant(order(1));
+        child.order(order(1));
         settle().await;
 
         publish(&stage, "other", 13);
@@ -294,7 +294,7 @@ fn events_are_shipped_out_once_and_come_in_from_outside() {
         assert_eq!(topics.identities(&key.topic)[0].name, Sample::NAME);
         assert_eq!(topics.listened().len(), 2);
 
-        child.stop();
+        child.order(ChildOrder::Stop { again: false });
         settle().await;
         let mut reported = interest.lock().unwrap().clone();
         reported.sort();

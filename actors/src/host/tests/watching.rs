@@ -6,7 +6,7 @@ use crate::{
     ActorRef, ChildSpec, Component, Context, DeliveryError, Down, DownReason, Event, Failure,
     Handle, Incarnation, Ports, Variable, VariableSpec,
 };
-use blastema_contract::child::ChildEvent;
+use blastema_contract::child::{ChildEvent, ChildOrder};
 use blastema_doubles::{advance, paused, settle};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -111,8 +111,8 @@ fn a_full_queue_loses_no_notice_whatever_its_policy() {
             let stage = Stage::new();
             let (mut one, acc_one) = stage.start::<Acc>(acc("one").0).await;
             let (mut two, acc_two) = stage.start::<Acc>(acc("two").0).await;
-            one.set_restart_grant(order(5));
-            two.set_restart_grant(order(5));
+            one.order(order(5));
+            two.order(order(5));
             let (spec, reported) = widow("widow", &["one", "two"]);
             let (_widow, widow) = stage.start(spec.queue(1, policy)).await;
             widow.tell(Chatter(1)).unwrap();
@@ -148,15 +148,15 @@ fn an_isolated_watcher_is_told_when_it_is_let_in_again() {
     paused(async {
         let stage = Stage::new();
         let (mut child, arm) = stage.start::<Acc>(acc("arm").0).await;
-        child.set_restart_grant(order(5));
+        child.order(order(5));
         let (spec, reported) = widow("widow", &["arm"]);
         let (mut watcher, _) = stage.start(spec).await;
 
-        watcher.isolate(true);
+        watcher.order(ChildOrder::Isolate(true));
         arm.tell(boom("x")).unwrap();
         settle().await;
         assert_eq!(taken(&reported), []);
-        watcher.isolate(false);
+        watcher.order(ChildOrder::Isolate(false));
         settle().await;
 
         assert!(matches!(&taken(&reported)[..], [Received::Down(of, 1, _)] if of == "arm"));
@@ -168,16 +168,16 @@ fn a_notice_that_was_not_taken_ends_with_the_incarnation_that_watched() {
     paused(async {
         let stage = Stage::new();
         let (mut child, arm) = stage.start::<Acc>(acc("arm").0).await;
-        child.set_restart_grant(order(5));
+        child.order(order(5));
         let (spec, reported) = widow("widow", &["arm"]);
         let (mut watcher, widow) = stage.start(spec).await;
-        watcher.set_restart_grant(order(5));
+        watcher.order(order(5));
         widow.tell(Chatter(1)).unwrap();
         settle().await;
 
         arm.tell(boom("x")).unwrap();
         settle().await;
-        watcher.abandon();
+        watcher.order(ChildOrder::Abandon);
         assert_eq!(stage.begin(&mut *watcher, 2).await, ChildEvent::Started);
         settle().await;
 
@@ -205,7 +205,7 @@ fn three_hundred_incarnations_that_watch_listen_and_publish_leave_nothing_behind
         }));
         let (spec, _) = widow("widow", &["arm", "widow", "absent"]);
         let (mut child, widow) = stage.start(spec).await;
-        child.set_restart_grant(order(1000));
+        child.order(order(1000));
         settle().await;
         let before = (watchers(&arm), watchers(&widow), Arc::strong_count(&widow.0));
         // Its variables' store watches the widow too.

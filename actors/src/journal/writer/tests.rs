@@ -87,7 +87,7 @@ mod real {
             symptom_of: None,
             count: 1,
         };
-        Now::read().blank(fault)
+        Moment::now().blank(fault)
     }
 
     fn written(path: &Path) -> Vec<u64> {

@@ -1,9 +1,8 @@
 //! What peers may not do here, and what this node may not do at peers.
 
-use super::GatewayActor;
-use crate::net::roster_watch::RosterChanged;
+use super::ObjectGateway;
+use crate::net::keys::NodeKeys;
 use crate::platform;
-use actix::prelude::*;
 use blastema_core::net::NodeId;
 use blastema_core::net::trust::access::REFUSAL_REMINDER;
 use blastema_core::sorted::SortedSet;
@@ -21,7 +20,7 @@ pub(super) struct ForbiddenAlarm {
     refused_by: SortedSet<NodeId>,
 }
 
-impl GatewayActor {
+impl ObjectGateway {
     /// A peer refuses a subscription of this node.
     pub(super) fn subscription_forbidden(&mut self, peer: NodeId, why: &DeliveryError) {
         error!("no event arrives: {why}");
@@ -60,15 +59,11 @@ impl GatewayActor {
             self.wiring.faults.clear(FaultKind::Forbidden);
         }
     }
-}
 
-impl Handler<RosterChanged> for GatewayActor {
-    type Result = ();
-
-    fn handle(&mut self, message: RosterChanged, context: &mut Context<Self>) {
-        let policy = message.0.access_policy();
+    /// What peers may do here is another thing now.
+    pub(in crate::net) fn handle_roster(&mut self, keys: &NodeKeys) {
+        let policy = keys.access_policy();
         self.wiring.registry.access().replace(policy.clone());
         self.exchange.handle_access(policy);
-        self.drive(context);
     }
 }

@@ -1,6 +1,6 @@
 //! Messages of other nodes to objects of this node: their delivery, and the backlog of full queues.
 
-use super::GatewayActor;
+use super::ObjectGateway;
 use crate::platform;
 use crate::registry::{CapacityFuture, MessageMetadata, ReplyTo, Skeleton};
 use actix::prelude::*;
@@ -13,11 +13,8 @@ use blastema_core::{Delivery, DeliveryError, FaultKind, Instant, ObjectName, Pee
 use bytes::Bytes;
 use std::sync::Arc;
 use std::task::{Context as Waiting, Waker};
-use std::time::Duration;
 use tracing::{debug, error, info, warn};
 
-/// How often it is looked at who does not stop.
-pub(super) const REFUSAL_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 /// So many that waited are handed over in one turn; then the network has its own.
 const AT_ONCE: usize = 64;
 
@@ -59,12 +56,12 @@ impl Drop for Watch {
 /// An object may have room for what waits.
 #[derive(Message)]
 #[rtype(result = "()")]
-pub(super) struct CapacityAvailable {
-    peer: NodeId,
-    object: ObjectName,
+pub(in crate::net) struct CapacityAvailable {
+    pub(in crate::net) peer: NodeId,
+    pub(in crate::net) object: ObjectName,
 }
 
-impl GatewayActor {
+impl ObjectGateway {
     pub(super) fn bind(
         &mut self,
         peer: NodeId,
@@ -110,7 +107,6 @@ impl GatewayActor {
         payload: &Bytes,
         metadata: MessageMetadata,
         reply_to: Option<ReplyTo>,
-        context: &mut Context<Self>,
     ) {
         let Some(bound) = self.skeletons.get(&(peer, binding)) else {
             match reply_to {
@@ -125,14 +121,12 @@ impl GatewayActor {
             && bound.skeleton.space().is_some();
         match reply_to {
             Some(reply_to) if behind => reply_to(Err(DeliveryError::Full)),
-            None if behind => {
-                self.hold((peer, binding), (payload, metadata), &DeliveryError::Full, context)
-            }
+            None if behind => self.hold((peer, binding), (payload, metadata), &DeliveryError::Full),
             reply_to => {
                 let is_tell = reply_to.is_none();
                 match bound.skeleton.deliver(payload, metadata, reply_to) {
                     Err(why @ (DeliveryError::Full | DeliveryError::Restarting)) if is_tell => {
-                        self.hold((peer, binding), (payload, metadata), &why, context);
+                        self.hold((peer, binding), (payload, metadata), &why);
                     }
                     // The object's own dead letters tell of what it did not take.
                     Err(DeliveryError::Undecodable { .. }) => self.breaks_its_word(peer),
@@ -148,7 +142,6 @@ impl GatewayActor {
         (peer, binding): (NodeId, u32),
         (payload, metadata): (&Bytes, MessageMetadata),
         why: &DeliveryError,
-        context: &mut Context<Self>,
     ) {
         let Some(bound) = self.skeletons.get(&(peer, binding)).cloned() else { return };
         let PeerBinding { object, skeleton, newest } = bound;
@@ -163,31 +156,27 @@ impl GatewayActor {
             BacklogVerdict::First => {
                 debug!(%peer, %object, "full: the peer is told to stop");
                 self.exchange.handle_full(peer, binding);
-                self.watch(peer, object, space, context);
+                self.watch(peer, object, space);
             }
             BacklogVerdict::Behind => {}
             BacklogVerdict::Refused(_) => skeleton.record_dead_letter(why),
         }
     }
 
-    fn watch(
-        &mut self,
-        peer: NodeId,
-        object: ObjectName,
-        space: CapacityFuture,
-        context: &mut Context<Self>,
-    ) {
-        let (gateway, found) =
-            (context.address(), CapacityAvailable { peer, object: object.clone() });
+    fn watch(&mut self, peer: NodeId, object: ObjectName, space: CapacityFuture) {
+        let (stack, found) = (
+            self.wiring.stack.capacity.clone(),
+            CapacityAvailable { peer, object: object.clone() },
+        );
         let waits = actix_rt::spawn(async move {
             space.await;
-            gateway.do_send(found);
+            stack.do_send(found);
         });
         self.queues.watches.insert((peer, object), Watch(waits));
     }
 
     /// Hands over what has waited, in order, as far as there is room.
-    fn hand_over(&mut self, peer: NodeId, object: ObjectName, context: &mut Context<Self>) {
+    pub(in crate::net) fn hand_over(&mut self, peer: NodeId, object: ObjectName) {
         for _ in 0..AT_ONCE {
             let Some(Held { binding, payload, metadata, arrived }) =
                 self.queues.backlog.first(peer, &object)
@@ -199,14 +188,14 @@ impl GatewayActor {
             {
                 // Asked first, so that nothing is decoded in vain.
                 if space.as_mut().poll(&mut Waiting::from_waker(Waker::noop())).is_pending() {
-                    return self.watch(peer, object, space, context);
+                    return self.watch(peer, object, space);
                 }
                 let age = metadata.age + (platform::now() - *arrived);
                 match skeleton.deliver(payload, MessageMetadata { age, ..*metadata }, None) {
                     // Another sender has taken the capacity.
                     Err(DeliveryError::Full | DeliveryError::Restarting) => {
                         if let Some(space) = skeleton.space() {
-                            self.watch(peer, object, space, context);
+                            self.watch(peer, object, space);
                         }
                         return;
                     }
@@ -220,7 +209,7 @@ impl GatewayActor {
                 return;
             }
         }
-        context.notify(CapacityAvailable { peer, object });
+        self.watch(peer, object, Box::pin(std::future::ready(())));
     }
 
     /// The session with this peer is over: what waits is not served any more.
@@ -254,14 +243,5 @@ impl GatewayActor {
             self.offends(peer, "it did not stop sending to what has no room");
             self.wiring.faults.declare_passing(FaultKind::CheckFailed, detail);
         }
-    }
-}
-
-impl Handler<CapacityAvailable> for GatewayActor {
-    type Result = ();
-
-    fn handle(&mut self, message: CapacityAvailable, context: &mut Context<Self>) {
-        self.hand_over(message.peer, message.object, context);
-        self.drive(context);
     }
 }

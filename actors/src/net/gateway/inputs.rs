@@ -1,78 +1,57 @@
-//! The messages that the gateway handles.
+//! What the network's stack tells the gateway.
 
-use super::peer::GatewayPeer;
-use super::subscriptions::LocalEvent;
-use super::{GatewayActor, LEAVE_TIMEOUT, topic};
-use crate::net::gateway_messages::{LocalReply, SendToPeer, StartCompleted, TopicInterestChanged};
-use crate::net::isolation::IsolationChanged;
+use super::{DiscardedSession, LocalEvent, ObjectGateway, topic};
+use crate::net::gateway_messages::{LocalReply, SendToPeer};
 use crate::net::stub::PeerCondition;
 use crate::platform;
-use actix::prelude::*;
+use crate::topic::TopicKey;
 use blastema_contract::monitor::NodeReported;
-use blastema_contract::router::InjectPanic;
-use blastema_contract::session::{
-    CloseSessions, PeerStatusChanged, ReadDifferences, ResetSession, SessionReported,
-};
-use blastema_contract::strategy::IsolateNode;
+use blastema_contract::session::PeerStatusChanged;
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::{Call, TransmitState};
-use blastema_core::recovery::{RecoveryDone, RecoveryFailed};
 use blastema_core::{DeliveryError, Incarnation, NodeName, ObjectAddress};
+use bytes::Bytes;
 use std::sync::Arc;
+use std::time::Duration;
 use tracing::debug;
 
-impl Handler<SessionReported> for GatewayActor {
-    type Result = ();
+/// How long a node that ends waits for peers to agree to contracts of messages it has accepted.
+const LEAVE_TIMEOUT: Duration = Duration::from_millis(500);
 
-    fn handle(&mut self, message: SessionReported, context: &mut Context<Self>) {
-        match message {
-            SessionReported::Reachable { node, incarnation } => {
-                let (peer, send_state) = self.meet(&node);
-                self.exchange.handle_reachable(peer);
-                if let Some(peer) = self.peers.get_mut(&peer) {
-                    peer.left &= peer.incarnation == incarnation;
-                    send_state.path_found(incarnation != peer.incarnation);
-                }
-                if !send_state.has_session() {
-                    self.set(peer, PeerCondition::Opening);
-                }
-            }
-            SessionReported::Unreachable { node } => {
-                let (peer, send_state) = self.meet(&node);
-                self.exchange.handle_unreachable(peer);
-                self.wiring.deaths.handle_opening(peer);
-                send_state.path_lost();
-                if !send_state.has_session() {
-                    self.set(peer, PeerCondition::Unreachable);
-                }
-            }
-            SessionReported::Opened { node, incarnation, session } => {
-                self.session_opened(node, incarnation, session);
-            }
-            SessionReported::Message { peer, message } => {
-                let send_state = self.peers.get(&peer).map(|peer| &peer.send_state);
-                if send_state.is_some_and(|send_state| send_state.is_isolated()) {
-                    self.of_isolated += 1;
-                    debug!(%peer, of_isolated = self.of_isolated, "an isolated node speaks");
-                } else {
-                    self.exchange.handle_message(peer, message, platform::now());
-                }
-            }
-            SessionReported::Returned { peer, message, why, sent } => {
-                let why = self.because(peer, why);
-                let sent = if sent { TransmitState::Perhaps } else { TransmitState::Nothing };
-                self.exchange.handle_returned(peer, message, why, sent);
-            }
-            SessionReported::Ended { peer, why } => self.session_ended(peer, why),
+impl ObjectGateway {
+    /// A node can be reached; a session will begin.
+    pub(in crate::net) fn handle_reachable(&mut self, node: &NodeName, incarnation: Incarnation) {
+        let (peer, send_state) = self.meet(node);
+        self.exchange.handle_reachable(peer);
+        if let Some(peer) = self.peers.get_mut(&peer) {
+            peer.left &= peer.incarnation == incarnation;
+            send_state.path_found(incarnation != peer.incarnation);
         }
-        self.drive(context);
+        if !send_state.has_session() {
+            self.set(peer, PeerCondition::Opening);
+        }
     }
-}
 
-impl GatewayActor {
-    fn session_opened(&mut self, node: NodeName, incarnation: Incarnation, session: u32) {
-        let (id, send_state) = self.meet(&node);
+    /// No path leads to a node any more; its session waits for one for a while.
+    pub(in crate::net) fn handle_unreachable(&mut self, node: &NodeName) {
+        let (peer, send_state) = self.meet(node);
+        self.exchange.handle_unreachable(peer);
+        self.wiring.deaths.handle_opening(peer);
+        send_state.path_lost();
+        if !send_state.has_session() {
+            self.set(peer, PeerCondition::Unreachable);
+        }
+    }
+
+    /// A session has begun, which has this number.
+    pub(in crate::net) fn session_opened(
+        &mut self,
+        node: &NodeName,
+        incarnation: Incarnation,
+        session: u32,
+    ) {
+        let (id, send_state) = self.meet(node);
         self.begin_peer(id, session, incarnation);
         // Before the peer learns that it is connected.
         self.wiring.deaths.handle_opening(id);
@@ -80,12 +59,38 @@ impl GatewayActor {
         send_state.begin();
         self.report_peer(&PeerStatusChanged::Opened { node: node.clone(), incarnation });
         if let Some(nodes) = &self.wiring.nodes {
-            // What a gateway before this one has found lost is over, too.
-            nodes.do_send(NodeReported { node, incarnation, condition: NodeCondition::InSession });
+            // What was found lost before a restart is over, too.
+            let (node, condition) = (node.clone(), NodeCondition::InSession);
+            nodes.do_send(NodeReported { node, incarnation, condition });
         }
     }
 
-    fn session_ended(&mut self, peer: NodeId, why: DeliveryError) {
+    /// A message has arrived.
+    pub(in crate::net) fn handle_message(&mut self, peer: NodeId, message: Bytes) {
+        let send_state = self.peers.get(&peer).map(|peer| &peer.send_state);
+        if send_state.is_some_and(|send_state| send_state.is_isolated()) {
+            self.of_isolated += 1;
+            debug!(%peer, of_isolated = self.of_isolated, "an isolated node speaks");
+        } else {
+            self.exchange.handle_message(peer, message, platform::now());
+        }
+    }
+
+    /// A message was not delivered; or perhaps it was, if some of it was sent.
+    pub(in crate::net) fn handle_returned(
+        &mut self,
+        peer: NodeId,
+        message: Bytes,
+        why: DeliveryError,
+        sent: bool,
+    ) {
+        let why = self.because(peer, why);
+        let sent = if sent { TransmitState::Perhaps } else { TransmitState::Nothing };
+        self.exchange.handle_returned(peer, message, why, sent);
+    }
+
+    /// A session is over; what was unacknowledged has been returned.
+    pub(in crate::net) fn session_ended(&mut self, peer: NodeId, why: DeliveryError) {
         let condition = match self.exchange.is_reachable(peer) {
             true => PeerCondition::Opening,
             false => PeerCondition::Unreachable,
@@ -98,42 +103,41 @@ impl GatewayActor {
             self.report_peer(&PeerStatusChanged::Ended { node: peer.node.clone() });
         }
     }
-}
 
-impl Handler<IsolationChanged> for GatewayActor {
-    type Result = ();
-
-    fn handle(&mut self, message: IsolationChanged, context: &mut Context<Self>) {
-        let IsolationChanged { node, isolated } = message;
-        let (peer, _) = self.meet(&node);
-        if isolated {
-            // What is under way with it is resolved, and what it has here goes.
-            let why = DeliveryError::isolated(&node);
-            self.exchange.handle_ended(peer, &why);
-            self.forget_forbidden(peer);
-            self.report_peer(&PeerStatusChanged::Ended { node });
-        } else {
-            // What it said meanwhile was not heard: only a new session makes both agree again.
-            self.wiring.sessions.begin_anew.do_send(ResetSession { peer: Some(peer) });
+    /// A session is over, with all that it held.
+    pub(in crate::net) fn session_discarded(&mut self, discarded: DiscardedSession) {
+        let DiscardedSession { peer, held, why } = discarded;
+        for (_, message, sent) in held {
+            self.handle_returned(peer, message, why.clone(), sent);
         }
-        self.drive(context);
+        self.session_ended(peer, why);
     }
-}
 
-/// A recovery strategy has decided so.
-impl Handler<IsolateNode> for GatewayActor {
-    type Result = Result<RecoveryDone, RecoveryFailed>;
-
-    fn handle(&mut self, message: IsolateNode, _: &mut Context<Self>) -> Self::Result {
-        self.wiring.isolation.decide(message);
-        Ok(RecoveryDone::default())
+    /// Every session was discarded after a panic, which may have lost an output: what the peers had
+    /// here goes, and requests that no session will answer are resolved.
+    pub(in crate::net) fn resolve_lost(&mut self) {
+        let known = self.peers.iter().map(|(id, peer)| (*id, peer.node.to_string()));
+        for (peer, node) in known.collect::<Vec<_>>() {
+            let why = self.because(peer, DeliveryError::Unreachable { node });
+            self.forget(peer, &why);
+        }
+        let lost = |number: &u64| !self.exchange.is_to_repeat(*number);
+        let lost: Vec<_> = self.replies.keys().copied().filter(lost).collect();
+        for (node, reply_to) in lost.iter().filter_map(|number| self.replies.remove(number)) {
+            let reason = format!("the session with {node} was reopened");
+            reply_to(Err(DeliveryError::OutcomeUnknown { reason }));
+        }
     }
-}
 
-impl Handler<SendToPeer> for GatewayActor {
-    type Result = ();
+    /// A node is isolated: what is under way with it is resolved, and what it has here goes.
+    pub(in crate::net) fn handle_isolated(&mut self, node: &NodeName) {
+        let (peer, _) = self.meet(node);
+        self.exchange.handle_ended(peer, &DeliveryError::isolated(node));
+        self.forget_forbidden(peer);
+        self.report_peer(&PeerStatusChanged::Ended { node: node.clone() });
+    }
 
-    fn handle(&mut self, message: SendToPeer, context: &mut Context<Self>) {
+    pub(in crate::net) fn handle_send(&mut self, message: SendToPeer) {
         let SendToPeer { to, contract, id, sent, until, payload, reply_to, credit } = message;
         let reply_as = reply_to.map(|reply_to| {
             let number = self.number();
@@ -144,78 +148,54 @@ impl Handler<SendToPeer> for GatewayActor {
         let credit = Some(credit);
         let call = Call { node, object, contract, id, sent, until, payload, reply_as, credit };
         self.exchange.handle_call(call);
-        self.drive(context);
     }
-}
 
-impl Handler<StartCompleted> for GatewayActor {
-    type Result = ();
-
-    fn handle(&mut self, _: StartCompleted, context: &mut Context<Self>) {
+    /// The start of this node is over.
+    pub(in crate::net) fn handle_started(&mut self) {
         self.exchange.handle_started(platform::now());
-        self.drive(context);
     }
-}
 
-impl Handler<LocalReply> for GatewayActor {
-    type Result = ();
+    /// This node ends in order: once nothing waits here, the sessions end.
+    pub(in crate::net) fn handle_end(&mut self) {
+        self.leaving.get_or_insert(platform::now() + LEAVE_TIMEOUT);
+    }
 
-    fn handle(&mut self, message: LocalReply, context: &mut Context<Self>) {
+    pub(in crate::net) fn handle_answer(&mut self, message: LocalReply) {
         let LocalReply { peer, epoch, call, result } = message;
         self.exchange.handle_answer(peer, epoch, call, result, platform::now());
-        self.drive(context);
     }
-}
 
-impl Handler<LocalEvent> for GatewayActor {
-    type Result = ();
-
-    fn handle(&mut self, message: LocalEvent, context: &mut Context<Self>) {
+    pub(in crate::net) fn handle_event(&mut self, message: LocalEvent) {
         let LocalEvent { peer, subscription, losses, event, sent, credit } = message;
         let known = self.forwards.get(&(peer, subscription));
         match known.filter(|known| Arc::ptr_eq(&known.losses, &losses)) {
             Some(known) => self.exchange.handle_event(peer, known.by, event, sent, Some(credit)),
             None => _ = losses.take_late(),
         }
-        self.drive(context);
     }
-}
 
-impl Handler<TopicInterestChanged> for GatewayActor {
-    type Result = ();
-
-    fn handle(&mut self, message: TopicInterestChanged, context: &mut Context<Self>) {
-        let TopicInterestChanged { key } = message;
-        self.compare_forwards(&key);
+    pub(in crate::net) fn handle_interest(&mut self, key: &TopicKey) {
+        self.compare_forwards(key);
         let identities = self.wiring.topics.settle_interest(&key.topic);
-        self.exchange.handle_interest(topic(&key), identities);
-        self.drive(context);
+        self.exchange.handle_interest(topic(key), identities);
     }
-}
 
-impl Handler<CloseSessions> for GatewayActor {
-    type Result = ();
-
-    fn handle(&mut self, _: CloseSessions, context: &mut Context<Self>) {
-        self.leaving = true;
-        context.run_later(LEAVE_TIMEOUT, |gateway, context| gateway.leave(context));
-        self.drive(context);
+    /// Records what was lost since the last call, and ends what has waited for too long.
+    pub(in crate::net) fn handle_time(&mut self) {
+        self.exchange.handle_time(platform::now());
+        self.collect_losses();
     }
-}
 
-impl Handler<ReadDifferences> for GatewayActor {
-    type Result = MessageResult<ReadDifferences>;
-
-    fn handle(&mut self, _: ReadDifferences, _: &mut Context<Self>) -> Self::Result {
-        let of = |peer: &GatewayPeer| (peer.node.clone(), peer.differences().to_vec());
-        MessageResult(self.peers.values().map(of).collect())
+    /// Declares what was refused, forbidden and lost since the last call, a second ago.
+    pub(in crate::net) fn look(&mut self) {
+        self.look_at_refusals();
+        self.look_at_access();
+        self.look_at_losses();
+        self.look_at_topics();
     }
-}
 
-impl Handler<InjectPanic> for GatewayActor {
-    type Result = ();
-
-    fn handle(&mut self, _: InjectPanic, _: &mut Context<Self>) {
-        panic!("the gateway panics on purpose");
+    /// Contracts that this node and the peer do not mean alike.
+    pub(in crate::net) fn differences(&self, peer: NodeId) -> Vec<String> {
+        self.peers.get(&peer).map_or_else(Vec::new, |peer| peer.differences().to_vec())
     }
 }

@@ -1,6 +1,6 @@
 //! Topics that peers listen to: their events are sent there.
 
-use super::GatewayActor;
+use super::ObjectGateway;
 use super::undelivered::UndeliveredEvents;
 use crate::net::credit::SenderCredit;
 use crate::net::stub::PeerSendState;
@@ -30,7 +30,7 @@ pub(super) struct Forwarded {
 /// An event was published here that a peer listens to.
 #[derive(Message)]
 #[rtype(result = "()")]
-pub(super) struct LocalEvent {
+pub(in crate::net) struct LocalEvent {
     pub(super) peer: NodeId,
     pub(super) subscription: u32,
     /// Counts it where the subscription has ended meanwhile.
@@ -122,14 +122,13 @@ impl EventForward for PeerForward {
     }
 }
 
-impl GatewayActor {
+impl ObjectGateway {
     pub(super) fn subscribe(
         &mut self,
         peer: NodeId,
         subscription: u32,
         topic: &TopicContract,
         theirs: Vec<PeerIdentity>,
-        context: &mut Context<Self>,
     ) {
         let key = match TopicKey::new(&topic.topic, &topic.contract) {
             Ok(key) => key,
@@ -155,7 +154,7 @@ impl GatewayActor {
             },
         };
         let Some(known) = self.peers.get(&peer) else { return };
-        let (send_state, gateway) = (known.send_state.clone(), context.address().recipient());
+        let (send_state, gateway) = (known.send_state.clone(), self.wiring.stack.events.clone());
         let (losses, node) = (self.losses(known, &key), known.node.clone());
         let target = ForwardTarget { gateway, peer, subscription, losses: losses.clone() };
         let credit = send_state.credits().sender(by.1);

@@ -1,6 +1,6 @@
 //! What did not arrive at other nodes, as dead letters.
 
-use super::GatewayActor;
+use super::ObjectGateway;
 use super::peer::GatewayPeer;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::topic::TopicKey;
@@ -89,7 +89,7 @@ impl Drop for UndeliveredEvents {
     }
 }
 
-impl GatewayActor {
+impl ObjectGateway {
     /// What this peer does not get of the topic.
     pub(super) fn losses(&self, peer: &GatewayPeer, key: &TopicKey) -> Arc<UndeliveredEvents> {
         Arc::new(UndeliveredEvents {

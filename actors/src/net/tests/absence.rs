@@ -1,7 +1,6 @@
 //! Neighbours that never come, and ways that are not left.
 
 use super::*;
-use blastema_contract::session::SessionReported;
 use blastema_contract::strategy::Reroute;
 use blastema_core::FaultLocation;
 
@@ -90,7 +89,7 @@ fn a_peer_that_has_restarted_is_not_connected_by_the_session_of_its_last_incarna
         let peer = right();
         for (incarnation, is_connected) in [(1, true), (2, false)] {
             let (node, incarnation) = (peer.clone(), Incarnation(incarnation));
-            left.net.gateway.do_send(SessionReported::Reachable { node, incarnation });
+            left.net.on_stack(move |stack| stack.gateway.handle_reachable(&node, incarnation));
             settle().await;
             let connected = tokio::time::timeout(MS, left.net.connected(&peer)).await;
             assert_eq!(connected.is_ok(), is_connected);

@@ -188,6 +188,23 @@ fn an_idempotent_request_is_asked_again_by_itself_and_takes_effect_once() {
 }
 
 #[test]
+fn an_idempotent_request_is_asked_again_after_a_panic_of_the_stack() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let (_service_fn, log) = service_fn(&right).await;
+        let sender = left.sender::<SetTo>("right:desk");
+        assert_eq!(sender.ask(SetTo(0)).await.unwrap(), 0);
+
+        let asked = asking(sender, SetTo(1), 20_000 * MS);
+        advance(20 * MS).await;
+        left.net.panic_sessions();
+
+        assert_eq!(asked.await.unwrap(), Ok(1));
+        assert_eq!(log.take(), [0, 1]);
+    });
+}
+
+#[test]
 fn an_idempotent_request_goes_on_to_the_next_incarnation_of_the_callees_node() {
     paused(async {
         let mut robot = Robot::default();

@@ -1,7 +1,6 @@
 //! No credit is lost, whatever becomes of the messages that held it.
 
 use super::*;
-use blastema_contract::router::InjectPanic;
 use blastema_core::DeliveryError;
 
 /// Much at once, all of which counts.
@@ -49,9 +48,9 @@ fn the_credit_to_a_peer_is_whole_after_cuts_panics_and_refusals() {
             advance(((random >> 40) % 8) as u32 * MS).await;
             match random >> 60 {
                 0..4 => caller.abort(),
-                4..6 => left.net.victims()[2].do_send(InjectPanic),
-                6..8 => left.net.victims()[1].do_send(InjectPanic),
-                8..10 => right.net.victims()[2].do_send(InjectPanic),
+                4..6 => left.net.victims()[0].do_send(InjectPanic),
+                6..8 => left.net.panic_sessions(),
+                8..10 => right.net.panic_sessions(),
                 10..14 => {
                     ["ethernet/left", "ieee1394/left"].iter().for_each(|cable| robot.cut(cable));
                     advance(if random & 0x1_0000 == 0 { 300 * MS } else { 3_000 * MS }).await;

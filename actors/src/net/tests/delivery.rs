@@ -1,6 +1,7 @@
 //! How messages travel, as their contracts say.
 
 use super::*;
+use crate::net::stack::{NetworkStack, RunOnStack};
 use crate::{Event, WhenFull};
 use blastema_core::TrafficClass;
 
@@ -111,6 +112,31 @@ fn of_readings_the_newest_arrives_and_what_was_lost_is_not_repeated() {
         advance(10 * MS).await;
 
         assert_eq!(log.take(), [6, 7]);
+    });
+}
+
+#[test]
+fn readings_take_no_more_capacity_in_a_long_turn_of_the_stack() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let (_ear, _log) = ear(&right).await;
+        let readings = left.sender::<Reading>("right:ear");
+        readings.tell(Reading(0, vec![])).unwrap();
+        advance(10 * MS).await;
+        let (accepted, counts) = std::sync::mpsc::channel();
+        let tell = move || (0..1000).filter(|n| readings.tell(Reading(*n, vec![])).is_ok()).count();
+
+        let stack = left.net.stack.clone();
+        left.net.on_stack(move |_| {
+            let first = tell();
+            // The stack serves this after the first thousand, before it yields.
+            let again = move |_: &mut NetworkStack| accepted.send([first, tell()]).unwrap();
+            stack.do_send(RunOnStack(Box::new(again)));
+        });
+        settle().await;
+
+        // Seven eighths of 2048.
+        assert_eq!(counts.try_recv(), Ok([1000, 792]));
     });
 }
 

@@ -1,12 +1,11 @@
 //! A peer that is broken or hostile: it is counted and named, and others are not hindered.
 
 use super::*;
-use blastema_contract::router::SegmentArrived;
 use blastema_core::net::NodeId;
 use blastema_core::net::session::VERSION;
 use blastema_core::net::trust::access::AccessDenied;
 use blastema_core::net::trust::policy::Verb;
-use blastema_core::net::wire::segment::{Ack, DelayTicks, OpenSegment, Segment, SeparateStream};
+use blastema_core::net::wire::segment::{Ack, DelayTicks, OpenSegment, Segment};
 use bytes::Bytes;
 
 /// Three nodes, each with a cable to both others.
@@ -33,7 +32,9 @@ async fn under_fire(
     for n in 1..=50 {
         for segment in words.iter().cycle().take(20) {
             let segment = segment.clone();
-            victim.net.sessions.do_send(SegmentArrived { source, segment, authentic });
+            victim.net.on_stack(move |stack| {
+                stack.lower.sessions.handle_segment(source, segment, authentic);
+            });
         }
         assert_eq!(sender.ask_within(Add(1), 100 * MS).await.unwrap(), before + n);
         advance(100 * MS).await;
@@ -62,12 +63,7 @@ fn stale(tag: u32) -> Vec<Segment> {
         })
     };
     vec![
-        Segment::Acknowledge { tag, streams: [ack(), ack(), ack(), ack()], datagrams: None },
-        Segment::AcknowledgeOne {
-            tag,
-            stream: SeparateStream::Replication,
-            ack: ack().expect("one"),
-        },
+        Segment::Acknowledge { tag, streams: [(); 6].map(|()| ack()), datagrams: None },
         Segment::Reset { tag },
         Segment::Close { tag },
         // Sessions of a past incarnation, of one to come, and of more sessions than there ever
@@ -90,7 +86,7 @@ fn forged_and_replayed_sessions_are_refused_counted_and_named_and_the_forged_one
 
         assert_eq!(declared.len(), 1, "{declared:?}");
         assert_eq!(declared[0].kind, FaultKind::CheckFailed);
-        assert_eq!(declared[0].object.as_str(), "net/sessions");
+        assert_eq!(declared[0].object.as_str(), "net/stack");
         assert!(declared[0].detail.contains("from right"), "{}", declared[0].detail);
         // The session that they were forged for has not noticed.
         before.tell(Note(2)).unwrap();
@@ -115,10 +111,7 @@ fn that_a_session_must_be_refused_ends_by_itself_and_is_told_again() {
         let fire = async || {
             let declared = under_fire((&left, &middle), ("right", false), &words).await;
             assert_eq!(declared.len(), 1, "{declared:?}");
-            assert_eq!(
-                (declared[0].object.as_str(), declared[0].hold),
-                ("net/sessions", Some(QUIET))
-            );
+            assert_eq!((declared[0].object.as_str(), declared[0].hold), ("net/stack", Some(QUIET)));
         };
         fire().await;
         advance(QUIET).await;
@@ -215,7 +208,9 @@ fn what_is_refused_in_passing_is_no_fault() {
         let source = NodeId::of(&NodeName::new("right").unwrap());
         for _ in 0..200 {
             let segment = Segment::Reset { tag: 99 }.encode();
-            left.net.sessions.do_send(SegmentArrived { source, segment, authentic: false });
+            left.net.on_stack(move |stack| {
+                stack.lower.sessions.handle_segment(source, segment, false);
+            });
         }
         advance(10_000 * MS).await;
 

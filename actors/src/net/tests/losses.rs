@@ -1,7 +1,7 @@
 //! What is counted, and where, when messages to another node do not arrive.
 
 use super::*;
-use blastema_contract::router::PathReported;
+use blastema_core::net::{NodeId, RouterOutput};
 
 /// What this module has counted of messages to `right`: object or topic, contract, reason, how
 /// many.
@@ -87,16 +87,26 @@ fn what_a_node_had_not_acknowledged_when_it_was_killed_is_counted_at_its_sender(
 }
 
 #[test]
-fn what_was_under_way_when_the_gateway_panicked_is_counted() {
+fn what_was_under_way_when_the_stack_panicked_is_counted() {
     paused(async {
-        let (robot, left, right) = pair().await;
-        deliver_in_vain(&robot, &left).await;
+        for has_ended in [false, true] {
+            let (robot, left, right) = pair().await;
+            deliver_in_vain(&robot, &left).await;
 
-        left.net.victims()[2].do_send(InjectPanic);
-        advance(10_000 * MS).await;
+            left.net.on_stack(move |stack| {
+                if has_ended {
+                    // The session has returned its messages, and the gateway does not have them.
+                    let right = NodeId::of(&NodeName::new("right").unwrap());
+                    let session = stack.lower.sessions.machines.get_mut(right).unwrap();
+                    session.handle_incarnation(Incarnation(2), platform::now());
+                }
+                panic!("the sessions panic on purpose");
+            });
+            advance(10_000 * MS).await;
 
-        assert_eq!(counted(&left), all_unreachable());
-        assert_eq!(right.log.take(), [0]);
+            assert_eq!(counted(&left), all_unreachable(), "the session has ended: {has_ended}");
+            assert_eq!(right.log.take(), [0]);
+        }
     });
 }
 
@@ -110,7 +120,8 @@ fn what_a_session_held_that_makes_room_for_other_peers_is_counted() {
         for n in 0..512 {
             let node = NodeName::new(&format!("node{n}")).unwrap();
             let (incarnation, mtu) = (Incarnation(1), 1389);
-            left.net.sessions.do_send(PathReported::Reachable { node, incarnation, mtu });
+            let reachable = RouterOutput::Reachable { node, incarnation, mtu };
+            left.net.on_stack(|stack| stack.carry_out_of_router(reachable));
         }
         advance(MS).await;
 

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::{Event, Outcome, WhenFull};
-use blastema_contract::session::SendReliable;
+use blastema_contract::child::ChildOrder;
 use blastema_core::TrafficClass;
 use blastema_core::contract::codec;
 use blastema_core::net::peer_protocol::receive_backlog::MESSAGES_MAX;
@@ -214,7 +214,7 @@ fn an_object_that_is_stopped_for_good_turns_what_waits_into_dead_letters_and_nob
         advance(20 * MS).await;
         assert_eq!(jobs.tell(Job(200)).unwrap_err().kind, DeliveryError::Full);
 
-        child.stop();
+        child.order(ChildOrder::Stop { again: false });
         advance(10_000 * MS).await;
 
         let name = ObjectName::new("slow").unwrap();
@@ -249,7 +249,7 @@ fn what_waits_when_the_session_ends_is_counted_and_the_next_session_begins_with_
 }
 
 #[test]
-fn a_panic_of_the_gateway_leaves_nothing_full_and_nothing_uncounted() {
+fn a_panic_of_the_stack_leaves_nothing_full_and_nothing_uncounted() {
     paused(async {
         let (_robot, left, right) = pair().await;
         let (_slow, _log) = slow(&right, NEVER, WhenFull::Refuse).await;
@@ -260,7 +260,7 @@ fn a_panic_of_the_gateway_leaves_nothing_full_and_nothing_uncounted() {
         advance(20 * MS).await;
 
         for module in [&right, &left] {
-            module.net.victims()[2].do_send(InjectPanic);
+            module.net.panic_sessions();
             advance(2000 * MS).await;
         }
 
@@ -305,12 +305,13 @@ fn blurt(left: &Module, count: usize) {
         PeerMessage::Tell { binding: 1, timestamp_us: 0, id: None, payload: payload.into() }
             .encode();
     let peer = NodeId::of(&NodeName::new("right").unwrap());
-    for _ in 0..count {
-        let (stream, strand, message) =
-            (TrafficClass::Request, OrderingKey::default(), message.clone());
-        let (session, credit) = (1, None);
-        left.net.sessions.do_send(SendReliable { peer, session, stream, strand, message, credit });
-    }
+    left.net.on_stack(move |stack| {
+        for _ in 0..count {
+            let (place, message) =
+                ((TrafficClass::Request, OrderingKey::default()), message.clone());
+            stack.lower.sessions.send_reliable((peer, 1), place, message, None).unwrap();
+        }
+    });
 }
 
 #[test]
@@ -337,7 +338,7 @@ fn a_peer_that_does_not_stop_loses_what_is_too_much_and_is_named_and_others_are_
         let declared = right.declared.drain();
         assert_eq!(declared.len(), 1, "{declared:?}");
         assert_eq!(declared[0].kind, FaultKind::CheckFailed);
-        assert_eq!(declared[0].object.as_str(), "net/gateway");
+        assert_eq!(declared[0].object.as_str(), "net/stack");
         assert!(declared[0].detail.contains("left does not stop"), "{}", declared[0].detail);
     });
 }

@@ -16,8 +16,7 @@ use crate::node::builder::{ActorPlacement, NodeBuilder};
 use crate::node::controller::{NodeController, NodeControllerSetup, NodeState, SubscribeSafeState};
 use crate::node::error::StartError;
 use crate::node::tree::PreparedTree;
-use crate::platform::own_arbiter;
-use crate::platform::{self, ProcessWatchdog};
+use crate::platform::{self, ProcessWatchdog, lock, own_arbiter};
 use crate::registry::Registry;
 use crate::runtime::callbacks::Callbacks;
 use crate::runtime::guardian::Guardian;
@@ -25,7 +24,6 @@ use crate::runtime::reports::FaultReports;
 use actix::prelude::*;
 use blastema_contract::monitor::{NodeEnding, Register, Unregister};
 use blastema_contract::notifier::AddPort;
-use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::AreYouAlive;
 use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};
 use blastema_core::detection::{RecovererPort, RegistrationError};
@@ -33,7 +31,7 @@ use blastema_core::recovery::{self, RecovererLimits};
 use blastema_core::sorted::SortedSet;
 use blastema_core::{Fault, FaultKind, Incarnation, NodeName, ObjectName};
 use std::sync::atomic::Ordering::Relaxed;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 use tokio::sync::watch;
 
@@ -41,25 +39,45 @@ use tokio::sync::watch;
 pub(in crate::node) struct FaultChain {
     /// Observes, judges and tells; reads the table and the record.
     pub(in crate::node) monitor: Addr<DetectionActor>,
+    pub(super) recoverer: Addr<RecovererActor>,
+    pub(in crate::node) controller: Addr<NodeController>,
+    /// Where its actors live.
     pub(in crate::node) arbiter: Option<ArbiterHandle>,
-    /// Where its actors answer.
-    pub(super) pings: Vec<(ObjectName, Recipient<AreYouAlive>)>,
-    pub(super) recoverer: Recipient<Recover>,
-    /// Looks at arbiters and components; it ends when it is dropped.
-    sampler: Mutex<Option<SamplerGuard>>,
-    /// Watches the chain itself; it ends when it is dropped.
-    outside: Mutex<Option<ChainWatch>>,
+    /// Keeps them, and what supervisors need that are added while the node runs.
+    pub(in crate::node) guardian: Guardian,
+    pub(in crate::node) directory: SupervisorDirectory,
+    /// How the node is.
+    pub(in crate::node) state: watch::Receiver<NodeState>,
     /// Whether the chain stands.
-    stands: watch::Receiver<bool>,
+    stands: watch::Sender<bool>,
     pub(in crate::node) safe_outputs: SafeOutputs,
     pub(in crate::node) callbacks: Callbacks,
     pub(super) router: Arc<OnceLock<(Recipient<Reroute>, Recipient<IsolateNode>)>>,
-    /// Writes what it was given when it is dropped.
+    guards: Mutex<ChainGuards>,
+}
+
+/// What ends with the chain, when it is dropped.
+#[derive(Default)]
+struct ChainGuards {
+    /// Looks at arbiters and components.
+    sampler: Option<SamplerGuard>,
+    /// Watches the chain itself.
+    outside: Option<ChainWatch>,
+    /// Writes what it was given.
     #[cfg(feature = "journal")]
-    journal: Mutex<Option<crate::journal::JournalGuard>>,
+    journal: Option<crate::journal::JournalGuard>,
 }
 
 impl FaultChain {
+    /// Where its actors answer.
+    pub(super) fn pings(&self) -> Vec<(ObjectName, Recipient<AreYouAlive>)> {
+        vec![
+            (named("chain/detection"), self.monitor.clone().recipient()),
+            (named("chain/recoverer"), self.recoverer.clone().recipient()),
+            (named("controller"), self.controller.clone().recipient()),
+        ]
+    }
+
     pub(super) async fn enrol_all(&self, enrolments: Vec<Register>) -> Result<(), StartError> {
         for enrolment in enrolments {
             // The chain's mailboxes close only when the node has ended.
@@ -90,7 +108,7 @@ impl FaultChain {
         &self,
         asked: impl Future<Output = Result<T, MailboxError>>,
     ) -> Option<T> {
-        let mut stands = self.stands.clone();
+        let mut stands = self.stands.subscribe();
         tokio::select! {
             biased;
             answer = asked => answer.ok(),
@@ -107,13 +125,13 @@ impl FaultChain {
     /// well.
     #[cfg_attr(not(feature = "journal"), expect(unused_variables, reason = "nothing keeps it"))]
     pub(in crate::node) fn stop(&self, cause: &str, in_order: bool) {
-        self.start_sampler(None);
-        let outside = self.outside.lock().unwrap_or_else(PoisonError::into_inner).take();
-        if let Some(outside) = outside {
+        let guards = std::mem::take(&mut *lock(&self.guards));
+        drop(guards.sampler);
+        if let Some(outside) = guards.outside {
             outside.end(in_order);
         }
         #[cfg(feature = "journal")]
-        if let Some(journal) = self.journal.lock().unwrap_or_else(PoisonError::into_inner).take() {
+        if let Some(journal) = guards.journal {
             journal.end(cause);
         }
         if let Some(arbiter) = &self.arbiter {
@@ -124,39 +142,27 @@ impl FaultChain {
     /// Whether its faults are kept in a file, which is to be told how the node ends.
     pub(in crate::node) fn keeps_journal(&self) -> bool {
         #[cfg(feature = "journal")]
-        return self.journal.lock().unwrap_or_else(PoisonError::into_inner).is_some();
+        return lock(&self.guards).journal.is_some();
         #[cfg(not(feature = "journal"))]
         false
     }
 
     #[cfg(feature = "journal")]
     pub(super) fn keep_journal(&self, guard: crate::journal::JournalGuard) {
-        *self.journal.lock().unwrap_or_else(PoisonError::into_inner) = Some(guard);
+        lock(&self.guards).journal = Some(guard);
     }
 
-    pub(super) fn start_sampler(&self, sampler: Option<SamplerGuard>) {
-        *self.sampler.lock().unwrap_or_else(PoisonError::into_inner) = sampler;
+    pub(super) fn keep_sampler(&self, sampler: SamplerGuard) {
+        lock(&self.guards).sampler = Some(sampler);
     }
 }
 
-/// Everything between the threads and the components.
-pub(super) struct FaultChainParts {
-    pub(super) guardian: Guardian,
-    pub(super) chain: FaultChain,
-    pub(super) controller: Addr<NodeController>,
-    pub(super) state: watch::Receiver<NodeState>,
-    pub(super) directory: SupervisorDirectory,
-    pub(super) registry: Registry,
-    pub(super) actuators: ActuatorTable,
-    stands: watch::Sender<bool>,
-}
-
-/// Makes the fault chain; it has nothing to watch yet.
+/// Makes the fault chain; it has nothing to watch yet. Its strategies use the returned tables.
 pub(super) fn make_chain(
     builder: &NodeBuilder,
     (node, incarnation): (&NodeName, Incarnation),
     arbiters: &ArbiterPool,
-) -> Result<FaultChainParts, StartError> {
+) -> Result<(FaultChain, Registry, ActuatorTable), StartError> {
     let arbiter = match builder.placement {
         ActorPlacement::Here => None,
         ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => Some(own_arbiter()?),
@@ -198,7 +204,7 @@ pub(super) fn make_chain(
     let (directory, registry) = (SupervisorDirectory::default(), Registry::default());
     registry.watch_in(guardian.watched());
     let router = Arc::<OnceLock<_>>::default();
-    let tools = StrategyContext::new(StrategyTargets {
+    let context = StrategyContext::new(StrategyTargets {
         node: node.clone(),
         directory: directory.clone(),
         registry: registry.clone(),
@@ -211,7 +217,7 @@ pub(super) fn make_chain(
     let setup = RecovererSetup {
         machine: recovery::Recoverer::new(node.clone(), plan, RecovererLimits::default(), spec),
         strategies: builder.strategies.clone(),
-        tools,
+        context,
         detector: monitor.clone().recipient(),
         callbacks: callbacks.clone(),
     };
@@ -228,36 +234,21 @@ pub(super) fn make_chain(
         stand_down: Some(recoverer.clone().recipient()),
     });
 
-    let pings = vec![
-        (named("chain/detection"), monitor.clone().recipient()),
-        (named("chain/recoverer"), recoverer.clone().recipient()),
-        (named("controller"), controller.clone().recipient()),
-    ];
-    let (stands, seen) = watch::channel(false);
     let chain = FaultChain {
         monitor,
+        recoverer,
+        controller,
         arbiter,
-        pings,
-        sampler: Mutex::default(),
-        outside: Mutex::default(),
-        stands: seen,
+        guardian,
+        directory,
+        state,
+        stands: watch::Sender::new(false),
         safe_outputs,
         callbacks,
-        #[cfg(feature = "journal")]
-        journal: Mutex::default(),
-        recoverer: recoverer.recipient(),
         router,
+        guards: Mutex::default(),
     };
-    Ok(FaultChainParts {
-        guardian,
-        chain,
-        controller,
-        state,
-        directory,
-        registry,
-        actuators,
-        stands,
-    })
+    Ok((chain, registry, actuators))
 }
 
 /// Whom guards and components tell.
@@ -280,7 +271,7 @@ pub(super) fn callbacks_of(builder: &NodeBuilder) -> Vec<Register> {
     all.into_iter().map(|name| middleware(name, None)).collect()
 }
 
-impl FaultChainParts {
+impl FaultChain {
     /// Watches the chain from outside from now on, and strokes these as long as it answers.
     pub(super) fn watch_chain(
         &self,
@@ -288,12 +279,12 @@ impl FaultChainParts {
         watchdogs: Vec<Box<dyn ProcessWatchdog>>,
         environment: Arc<ComponentEnvironment>,
     ) -> Result<(), StartError> {
-        let node = node.clone();
+        let (node, actuators) = (node.clone(), environment.actuators().clone());
         let stop_limit = move || match environment.actuators().are_stopping() {
             true => Duration::from_millis(environment.longest_stop_ms.load(Relaxed)),
             false => Duration::ZERO,
         };
-        let (safe_outputs, actuators) = (self.chain.safe_outputs.clone(), self.actuators.clone());
+        let safe_outputs = self.safe_outputs.clone();
         let rest: Recipient<EnterSafeState> = self.controller.clone().recipient();
         let last_resort = move |reason: String| {
             let now = platform::now();
@@ -305,14 +296,14 @@ impl FaultChainParts {
             rest.do_send(EnterSafeState { fault, reason });
         };
         let outside = ChainWatch::start(OutsideSetup {
-            callbacks: self.chain.callbacks.clone(),
-            pings: self.chain.pings.clone(),
+            callbacks: self.callbacks.clone(),
+            pings: self.pings(),
             watchdogs,
             stands: self.stands.clone(),
             stop_limit: Box::new(stop_limit),
             last_resort: Box::new(last_resort),
         })?;
-        *self.chain.outside.lock().unwrap_or_else(PoisonError::into_inner) = Some(outside);
+        lock(&self.guards).outside = Some(outside);
         Ok(())
     }
 }

@@ -13,8 +13,8 @@ impl NodeAssembly {
     pub(super) async fn keep_journal(&mut self, file: Option<PathBuf>) -> Result<(), StartError> {
         let Some(path) = file else { return Ok(()) };
         let name = named(JOURNAL);
-        let reports = self.environment.reports.clone();
-        let lock = match FileLock::acquire_after_predecessor(&path, &self.node).await {
+        let reports = self.node.environment.reports.clone();
+        let lock = match FileLock::acquire_after_predecessor(&path, &self.node.name).await {
             Ok(lock) => Some(JournalLock::new(lock)),
             Err(error @ LockError::InUse { .. }) => {
                 return Err(StartError::Journal { file: path, reason: error.to_string() });
@@ -24,16 +24,18 @@ impl NodeAssembly {
             Err(LockError::Io(_)) => None,
         };
         let path = without_links(&path);
-        self.held.push(path.clone());
-        let own = (self.node.clone(), self.incarnation);
-        let record = self.parts.chain.monitor.clone().recipient();
+        self.node.held.push(path.clone());
+        let chain = &self.node.chain;
+        let own = (self.node.name.clone(), self.node.incarnation);
+        let record = chain.monitor.clone().recipient();
         let (journal, guard) = JournalActor::new(path, lock, own, record, reports);
-        let arbiter = self.parts.chain.arbiter.as_ref();
-        let guardian = &self.parts.guardian;
-        let journal =
-            guardian.start(name.clone(), arbiter, |_: &mut Context<JournalActor>| journal);
-        self.parts.chain.monitor.do_send(Subscribe(journal.clone().recipient()));
-        self.parts.chain.keep_journal(guard);
+        let journal = chain.guardian.start(
+            name.clone(),
+            chain.arbiter.as_ref(),
+            |_: &mut Context<JournalActor>| journal,
+        );
+        chain.monitor.do_send(Subscribe(journal.clone().recipient()));
+        chain.keep_journal(guard);
         self.enrolments.push(middleware(name, Some(journal.recipient())));
         Ok(())
     }

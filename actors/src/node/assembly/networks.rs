@@ -1,12 +1,13 @@
 //! The networks of a node: what stands on its media, and how that is led to the fault chain.
 
-use super::chain::FaultChainParts;
+use super::chain::FaultChain;
 use super::{NodeAssembly, middleware, named};
 use crate::component::environment::ComponentEnvironment;
 use crate::component::spec_error::SpecError;
 use crate::directory::actor::{DirectoryActor, DirectorySetup};
 use crate::net::safe_state::{RestSetup, SafeStateActor};
 use crate::net::{self, NetEnvironment, NetHandle};
+use crate::node::Shared;
 use crate::node::builder::ActorPlacement;
 use crate::node::controller::SubscribeSafeState;
 use crate::node::error::StartError;
@@ -94,11 +95,11 @@ impl NodeAssembly {
         &mut self,
         description: &mut NetworkDescription,
     ) -> Result<(), StartError> {
-        let who = (&self.node, self.incarnation);
+        let Shared { name, incarnation, chain, environment, .. } = &self.node;
+        let who = (name, *incarnation);
         if description.networks.is_empty() {
-            let setup = directory_setup(who, &self.parts, &self.environment);
-            let arbiter = self.parts.chain.arbiter.as_ref();
-            let directory = DirectoryActor::start(setup, &self.parts.guardian, arbiter);
+            let setup = directory_setup(who, chain, environment);
+            let directory = DirectoryActor::start(setup, &chain.guardian, chain.arbiter.as_ref());
             self.enrolments.push(middleware(named("net/directory"), Some(directory.pings)));
             return Ok(());
         }
@@ -106,20 +107,25 @@ impl NodeAssembly {
             ActorPlacement::Here => None,
             ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => Some(own_arbiter()?),
         };
-        self.undone.own.extend(arbiter.clone());
-        let transports = &mut self.undone.transports;
-        let (networks, enrolments) =
-            make_networks(description, (arbiter, transports), who, &self.parts, &self.environment)?;
+        let mut transports = Vec::new();
+        let place = (arbiter.clone(), &mut transports);
+        let made = make_networks(description, place, who, chain, environment);
+        let (networks, enrolments) = made.inspect_err(|_| {
+            transports.iter().for_each(|transport| transport.do_send(Close));
+            if let Some(arbiter) = &arbiter {
+                arbiter.stop();
+            }
+        })?;
         self.enrolments.extend(enrolments);
-        self.networks = Some(networks);
+        self.node.networks = Some(networks);
         Ok(())
     }
 
     /// The faults of insecure networks and of keys that others may read stand from the start of the
     /// node to its end.
     pub(super) fn declare_insecure_networks(&self) {
-        let rows = self.networks.iter().flat_map(|networks| &networks.rows);
-        let danger = self.networks.iter().filter_map(|networks| networks.danger.clone());
+        let rows = self.node.networks.iter().flat_map(|networks| &networks.rows);
+        let danger = self.node.networks.iter().filter_map(|networks| networks.danger.clone());
         let of_keys = danger.map(|detail| FaultDeclared {
             object: named("net/roster"),
             incarnation: Incarnation::FIRST,
@@ -128,7 +134,7 @@ impl NodeAssembly {
             hold: None,
         });
         let faults = rows.filter_map(NetworkRow::fault).chain(of_keys);
-        faults.for_each(|fault| self.parts.chain.monitor.do_send(fault));
+        faults.for_each(|fault| self.node.chain.monitor.do_send(fault));
     }
 
     pub(super) fn carry_services(
@@ -138,12 +144,12 @@ impl NodeAssembly {
         let services: Vec<_> = services.into_iter().collect::<Result<_, _>>()?;
         for carried in services {
             let name = carried.actor.clone();
-            let roster = self.environment.services();
+            let roster = self.node.environment.services();
             roster.enter(carried.name.clone(), &carried.config);
-            let place = self.networks.as_ref().and_then(|networks| networks.arbiter.as_ref());
-            let place = place.or(self.parts.chain.arbiter.as_ref());
-            let monitored =
-                ReplicaActor::start(carried, &self.environment, &self.parts.guardian, place);
+            let place = self.node.networks.as_ref().and_then(|networks| networks.arbiter.as_ref());
+            let Shared { chain, environment, .. } = &self.node;
+            let place = place.or(chain.arbiter.as_ref());
+            let monitored = ReplicaActor::start(carried, environment, &chain.guardian, place);
             let monitored = monitored.map_err(SpecError::from)?;
             self.enrolments.push(middleware(name, Some(monitored)));
         }
@@ -151,16 +157,15 @@ impl NodeAssembly {
     }
 }
 
-/// Starts transports, links, router, sessions and gateway, and connects them to the fault chain.
+/// Starts transports, links and the stack above them, and connects them to the fault chain.
 fn make_networks(
     description: &mut NetworkDescription,
     (arbiter, transports): (Option<ArbiterHandle>, &mut Vec<Recipient<Close>>),
     (node, incarnation): (&NodeName, Incarnation),
-    parts: &FaultChainParts,
+    chain: &FaultChain,
     environment: &ComponentEnvironment,
 ) -> Result<(Networks, Vec<Register>), StartError> {
-    let FaultChainParts { guardian, chain, .. } = parts;
-    let monitor = &chain.monitor;
+    let FaultChain { guardian, monitor, .. } = chain;
     let may_be_away = description.may_be_away.iter().filter_map(|node| NodeName::new(node).ok());
     let may_be_away: SortedSet<_> = may_be_away.collect();
     for node in may_be_away.iter().cloned() {
@@ -207,7 +212,7 @@ fn make_networks(
         topics: environment.topics().clone(),
         dead_letters: environment.dead_letters.clone(),
         may_be_away,
-        recoverer: Some(chain.recoverer.clone()),
+        recoverer: Some(chain.recoverer.clone().recipient()),
         links: Some(monitor.clone().recipient()),
         stalls: Some(monitor.clone().recipient()),
         nodes: Some(monitor.clone().recipient()),
@@ -219,7 +224,7 @@ fn make_networks(
         keys,
     };
     let slowest = specs.iter().flat_map(|spec| &spec.links).map(|link| link.hello_interval).max();
-    let setup = directory_setup((node, incarnation), parts, environment);
+    let setup = directory_setup((node, incarnation), chain, environment);
     let setup = DirectorySetup {
         settle: settling(slowest.unwrap_or_default()),
         expected: neighbours.iter().cloned().collect(),
@@ -230,7 +235,7 @@ fn make_networks(
     let setup =
         RestSetup { registry: environment.registry.clone(), nodes: monitor.clone().recipient() };
     let rest = SafeStateActor::start(setup, guardian, arbiter.as_ref());
-    parts.controller.do_send(SubscribeSafeState(rest.own));
+    chain.controller.do_send(SubscribeSafeState(rest.own));
     enrolments.push(middleware(named("net/rest"), Some(rest.pings)));
     let (observers, roster_observers) =
         (vec![directory.peers, rest.peers], vec![directory.rosters]);
@@ -255,7 +260,7 @@ fn make_networks(
 /// The setup of the directory for a node without a network.
 fn directory_setup(
     (node, incarnation): (&NodeName, Incarnation),
-    parts: &FaultChainParts,
+    chain: &FaultChain,
     environment: &ComponentEnvironment,
 ) -> DirectorySetup {
     DirectorySetup {
@@ -266,8 +271,8 @@ fn directory_setup(
         registry: environment.registry.clone(),
         topics: environment.topics().clone(),
         names: environment.directory().clone(),
-        faults: Some(parts.chain.monitor.clone().recipient()),
-        cleared: Some(parts.chain.monitor.clone().recipient()),
+        faults: Some(chain.monitor.clone().recipient()),
+        cleared: Some(chain.monitor.clone().recipient()),
     }
 }
 

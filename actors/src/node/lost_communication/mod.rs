@@ -19,14 +19,14 @@ use super::error::{PolicyPart, StartError};
 use crate::actuator::{ActuatorKey, ActuatorTable};
 use crate::component::environment::ComponentEnvironment;
 use crate::condition::{ConditionError, object_of};
-use crate::platform;
+use crate::platform::{self, lock};
 use actix::prelude::{ArbiterHandle, Recipient};
 use blastema_contract::reports::FaultDeclared;
 use blastema_core::connection::{ConditionState, LostCommunication, LostCommunicationOutput};
 use blastema_core::lease::CommanderId;
 use blastema_core::{FaultKind, Incarnation, Instant, Machine, NodeName, ObjectName};
 use bytes::Bytes;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 use tokio::sync::watch;
 use tracing::info;
@@ -58,14 +58,14 @@ pub enum AcknowledgeError {
     /// Communication is not back, or was not lost for as long as the first rung takes.
     #[error("the policy {name:?} holds no rung that can end: wait until communication is back")]
     NotBack {
-        /// The policy.
+        /// The name of the policy.
         name: String,
     },
 }
 
 /// A policy of a node that runs.
 pub(super) struct KeptPolicy {
-    name: String,
+    pub(super) name: String,
     /// The object in which the faults of its condition are found.
     object: ObjectName,
     rungs: Vec<KeptRung>,
@@ -95,8 +95,8 @@ impl KeptPolicy {
         let _ = self.node.set(Arc::downgrade(&node.0));
     }
 
-    fn lock(&self) -> MutexGuard<'_, LostCommunication> {
-        self.ladder.lock().unwrap_or_else(PoisonError::into_inner)
+    pub(super) fn lock(&self) -> MutexGuard<'_, LostCommunication> {
+        lock(&self.ladder)
     }
 
     /// Acts on how the condition is, and on the time.
@@ -159,7 +159,7 @@ impl KeptPolicy {
         info!(policy = self.name, "communication is back: others command again");
     }
 
-    fn row(&self) -> LostCommunicationRow {
+    pub(super) fn row(&self) -> LostCommunicationRow {
         let is_back = self.lock().is_back();
         let rung = self.rung.borrow().and_then(|place| Some(self.rungs.get(place)?.name.clone()));
         LostCommunicationRow { name: self.name.clone(), rung, is_back }
@@ -243,31 +243,5 @@ impl LostCommunicationPolicy {
         let follow = move |state, cause: &str, now| follower.follow(state, cause, now);
         conditions.follow(&condition, Arc::new(follow));
         Ok(kept)
-    }
-}
-
-impl Node {
-    /// Returns the policies for lost communication, with the rungs that are carried out.
-    pub fn lost_communication(&self) -> Vec<LostCommunicationRow> {
-        self.0.policies.iter().map(|policy| policy.row()).collect()
-    }
-
-    /// Lets others command again after communication was lost and is back, for a person who has
-    /// looked at the robot.
-    ///
-    /// # Errors
-    /// [`AcknowledgeError`] where there is no such policy, and while communication is lost.
-    pub async fn acknowledge(&self, policy: &str) -> Result<(), AcknowledgeError> {
-        let name = policy.to_owned();
-        let Some(policy) = self.0.policies.iter().find(|known| known.name == name) else {
-            let known: Vec<_> = self.0.policies.iter().map(|known| &*known.name).collect();
-            let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
-            return Err(AcknowledgeError::Unknown { name, known });
-        };
-        if !policy.lock().handle_acknowledged() {
-            return Err(AcknowledgeError::NotBack { name });
-        }
-        self.0.environment.conditions().look_soon();
-        Ok(())
     }
 }

@@ -70,7 +70,7 @@ pub(in crate::node) fn check_files(networks: &[Network]) -> Result<(), StartErro
     };
     let listening = networks.iter().filter(|network| strangers(network) > 0);
     let needed: usize =
-        listening.map(|network| strangers(network) + network.told.links.len()).sum();
+        listening.map(|network| strangers(network) + network.settings.links.len()).sum();
     let Some(left) = platform::files_left() else { return Ok(()) };
     if needed == 0 || needed + FILES_OF_NODE <= left {
         return Ok(());
@@ -90,31 +90,31 @@ impl Network {
 
     /// Whom its links lead to.
     pub(in crate::node) fn neighbours(&self) -> impl Iterator<Item = &str> {
-        self.told.links.iter().map(|link| link.neighbour.as_str())
+        self.settings.links.iter().map(|link| link.neighbour.as_str())
     }
 
     /// The nodes that it names: its neighbours, and those that are discovered.
     pub(in crate::node) fn named_nodes(&self) -> impl Iterator<Item = &str> + Clone {
-        let admitted = match &self.told.discover {
+        let admitted = match &self.settings.discover {
             Some(Admitted::Only(nodes)) => nodes.as_slice(),
             Some(Admitted::AnyNode(_)) | None => &[],
         };
-        let neighbours = self.told.links.iter().map(|link| link.neighbour.as_str());
+        let neighbours = self.settings.links.iter().map(|link| link.neighbour.as_str());
         neighbours.chain(admitted.iter().map(String::as_str))
     }
 
     /// What people call its links.
     pub fn link_names(&self) -> impl Iterator<Item = String> {
-        self.told.links.iter().map(|link| self.link_name(link))
+        self.settings.links.iter().map(|link| self.link_name(link))
     }
 
     /// What people call one of its links.
     pub(super) fn link_name(&self, link: &Link) -> String {
-        let usual = || match self.told.links.len() {
+        let usual = || match self.settings.links.len() {
             1 => self.name.clone(),
             _ => format!("{}/{}", self.name, link.neighbour),
         };
-        link.told.name.clone().unwrap_or_else(usual)
+        link.settings.name.clone().unwrap_or_else(usual)
     }
 
     /// Finds what can be known to be wrong before anything is started.
@@ -130,7 +130,7 @@ impl Network {
         if let Some(what) = self.own_fault() {
             return wrong(what);
         }
-        for link in &self.told.links {
+        for link in &self.settings.links {
             self.check_settings(link)?;
             let what = self.link_fault(link, node).or_else(|| self.remote_fault(link));
             if let Some(what) = what {
@@ -159,7 +159,7 @@ impl Network {
             )));
         }
         let mut neighbours = SortedSet::new();
-        for Link { neighbour, .. } in &self.told.links {
+        for Link { neighbour, .. } in &self.settings.links {
             let known = NodeName::new(neighbour).is_ok_and(|node| keys.key_of(&node).is_some());
             if !known {
                 let (robot, serial) = (keys.robot(), keys.serial());
@@ -187,7 +187,7 @@ impl Network {
         {
             return Some(why);
         }
-        let name = self.told.interface.as_ref()?;
+        let name = self.settings.interface.as_ref()?;
         if !is_interface(name) {
             return Some(format!(
                 "{name:?} is no name of an interface: write one as in eth0, 1 to 15 letters without \
@@ -202,7 +202,7 @@ impl Network {
     }
 
     fn link_fault(&self, link: &Link, node: &NodeName) -> Option<String> {
-        let Link { neighbour, told: LinkSettings { name, .. } } = link;
+        let Link { neighbour, settings: LinkSettings { name, .. } } = link;
         if neighbour == node.as_str() {
             return Some(format!(
                 "{neighbour} is this node itself, and no neighbour: write the neighbour's name, or \
@@ -220,7 +220,7 @@ impl Network {
             Err(StartError::Link { network, neighbour, setting, value, cure })
         };
         // Over a link that costs nothing, two nodes may each take the other for the shorter way.
-        if link.told.cost == Some(0) {
+        if link.settings.cost == Some(0) {
             let (value, cure) = ("0".to_owned(), "a link costs 1 at least");
             return refused(SettingError { setting: "cost", value, cure });
         }
@@ -234,9 +234,8 @@ impl Network {
 
     /// Why the neighbour cannot be where the link leads. What is written is read with the medium.
     fn remote_fault(&self, link: &Link) -> Option<String> {
-        let (Remote::At(address), Medium::At(endpoint)) = (&link.told.address, &self.medium) else {
-            return None;
-        };
+        let Remote::At(address) = &link.settings.address else { return None };
+        let Medium::At(endpoint) = &self.medium else { return None };
         let why = endpoint.objection(address)?;
         let shown = match address.to_string() {
             empty if empty.is_empty() => "\"\"".to_owned(),

@@ -132,9 +132,9 @@ impl NetworkDescription {
             };
             return Err(StartError::Network(format!("{name} may be away, as is described: {why}")));
         }
-        let links = self.networks.iter_mut().flat_map(|network| &mut network.told.links);
+        let links = self.networks.iter_mut().flat_map(|network| &mut network.settings.links);
         for link in links.filter(|link| self.may_be_away.contains(&link.neighbour)) {
-            link.told.expected_within = Some(Duration::MAX);
+            link.settings.expected_within = Some(Duration::MAX);
         }
         Ok(())
     }

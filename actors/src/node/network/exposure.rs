@@ -2,7 +2,6 @@
 
 use super::{Medium, Network};
 use crate::net::keys::SealTerms;
-use crate::node::Node;
 use crate::node::error::StartError;
 use crate::node::network_rows::NetworkRow;
 use blastema_core::net::seal::SealProfile;
@@ -101,25 +100,17 @@ impl Network {
     /// and one that is insecure beside keys: what comes over it would speak with the authority of
     /// the others.
     pub(super) fn check_exposure(&self, has_keys: bool) -> Result<(), StartError> {
-        if self.told.insecure && has_keys {
+        if self.settings.insecure && has_keys {
             return Err(StartError::Network(format!(
                 "network {0} is insecure and the node has keys: leave `insecure` out and give the \
                  other nodes on {0} keys, or run a node of its own for it",
                 self.name
             )));
         }
-        if has_keys || self.told.insecure || !self.reach().leaves_computer() {
+        if has_keys || self.settings.insecure || !self.reach().leaves_computer() {
             return Ok(());
         }
         let (network, medium) = (self.name.clone(), self.medium.place());
         Err(StartError::Insecure { network, medium })
-    }
-}
-
-/// Which networks a node has; with the feature `network`.
-impl Node {
-    /// All networks, in the order in which they were described.
-    pub fn networks(&self) -> &[NetworkRow] {
-        self.0.networks.as_ref().map_or(&[], |networks| &networks.rows)
     }
 }

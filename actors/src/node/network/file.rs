@@ -65,8 +65,8 @@ impl NetworkFile {
         let set = env::var_os(SET_VARIABLE).map(|set| set.to_string_lossy().into_owned());
         let set = set.iter().flat_map(|set| set.split(';').map(|one| (SET_VARIABLE, one.trim())));
         let set = set.filter(|(_, one)| !one.is_empty());
-        let told = self.overrides.iter().map(|one| ("`set`", one.as_str()));
-        let overrides: Vec<_> = set.chain(told).collect();
+        let given = self.overrides.iter().map(|one| ("`set`", one.as_str()));
+        let overrides: Vec<_> = set.chain(given).collect();
         if path.is_none() && overrides.is_empty() {
             return Ok(None);
         }
@@ -163,7 +163,7 @@ fn duration(text: &str) -> Option<Duration> {
 /// Neighbours by their names.
 pub(super) fn links<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Link>, D::Error> {
     let written = BTreeMap::<String, WrittenPeer>::deserialize(from)?;
-    let link = |(neighbour, WrittenPeer(told))| Link { neighbour, told };
+    let link = |(neighbour, WrittenPeer(settings))| Link { neighbour, settings };
     Ok(written.into_iter().map(link).collect())
 }
 
@@ -250,7 +250,7 @@ peers = { module2 = "" }
         ];
         assert_eq!(format!("{read:?}"), format!("{written:?}"));
         for (read, written) in read.iter().zip(&written) {
-            assert_eq!(format!("{:?}", read.told), format!("{:?}", written.told));
+            assert_eq!(format!("{:?}", read.settings), format!("{:?}", written.settings));
         }
     }
 
@@ -267,8 +267,8 @@ peers = { module2 = "" }
         let ethernet = &described.networks["ethernet"];
         assert_eq!(ethernet.endpoint, "udp://127.0.0.1:2");
         let peer = |name| ethernet.links.iter().find(|link| link.neighbour == name).expect(name);
-        assert_eq!(peer("module3").told.cost, Some(30));
-        let address = &peer("module5").told.address;
+        assert_eq!(peer("module3").settings.cost, Some(30));
+        let address = &peer("module5").settings.address;
         assert!(matches!(address, Remote::Written(text) if text == "10.0.0.5:7400"));
         assert!(!described.networks["line"].insecure);
         // Without a file there is only what they say.

@@ -48,7 +48,7 @@ impl Hosts {
                  look whether its name server is reachable, or write its address in numbers"
             ))
         };
-        if let Some(named) = NamedHost::find(&network.told.endpoint) {
+        if let Some(named) = NamedHost::find(&network.settings.endpoint) {
             let addresses = self.addresses(named);
             let addresses = addresses
                 .map_err(|error| failed(named.name(), &network.name, error.to_string()))?;
@@ -58,8 +58,8 @@ impl Hosts {
             }
         }
         let Some((_, own)) = network.medium.socket() else { return Ok(()) };
-        for link in &mut network.told.links {
-            let Remote::Written(text) = &link.told.address else { continue };
+        for link in &mut network.settings.links {
+            let Remote::Written(text) = &link.settings.address else { continue };
             let Some(named) = NamedHost::find(text) else { continue };
             let fitting = self.addresses(named).and_then(|all| {
                 let fits = |address: &SocketAddr| address.is_ipv4() == own.is_ipv4();
@@ -70,7 +70,7 @@ impl Hosts {
             });
             let address =
                 fitting.map_err(|error| failed(named.name(), &network.name, error.to_string()))?;
-            link.told.address = Remote::Written(address.to_string());
+            link.settings.address = Remote::Written(address.to_string());
         }
         Ok(())
     }

@@ -1,37 +1,10 @@
-//! The services that a node carries, and those that it asks.
+//! Checks of the services that a node is to carry.
 
-use crate::node::Node;
 use crate::node::error::StartError;
-use crate::service::{Carried, Role, ServiceRef, ServiceRow};
+use crate::service::Carried;
 use blastema_core::detection::dependencies::{DependencyError, circle};
 use blastema_core::service::{HEARTBEAT_MAX, HEARTBEAT_MIN, MEMBERS_MAX};
 use blastema_core::sorted::SortedSet;
-use blastema_core::{NameError, ObjectName, Request};
-
-/// Services; with the feature `network`.
-impl Node {
-    /// Asks the service of this name, whichever node serves it. Found are services that this node
-    /// carries, and those of nodes that a session is open with.
-    ///
-    /// # Errors
-    /// The name does not parse. Whether there is such a service is found out when it is asked.
-    pub fn service<M: Request>(&self, name: &str) -> Result<ServiceRef<M>, NameError> {
-        let registry = &self.0.environment.registry;
-        let services = self.0.environment.services();
-        ServiceRef::new(registry, services, name)
-    }
-
-    /// Whether this node serves, or stands by for, a service that it carries.
-    pub fn service_role(&self, name: &str) -> Option<Role> {
-        self.0.environment.services().role(&ObjectName::new(name).ok()?)
-    }
-
-    /// Returns the services that this node hosts: its role in each, the primary, and missing
-    /// members.
-    pub fn services(&self) -> Vec<ServiceRow> {
-        self.0.environment.services().rows()
-    }
-}
 
 /// The nodes of a service are others than each other, not too many, and this is one of them; and
 /// its hello can be said.

@@ -70,7 +70,6 @@ mod tests {
                 cost_percent: 100,
             },
             hello_interval: Duration::from_millis(100),
-            phi: 0.0,
             cost: 1,
             traffic: LinkTraffic::default(),
             rate: ByteRate::default(),

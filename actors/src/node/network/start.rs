@@ -182,17 +182,17 @@ impl Network {
             let of = format!("the name of a neighbour on network {}", self.name);
             let neighbour = NodeName::new(&link.neighbour).map_err(StartError::name_of(of))?;
             let [hello_interval, expected_within] = link.times();
-            let remote = self.medium.remote(&link.told.address);
+            let remote = self.medium.remote(&link.settings.address);
             Ok(LinkSpec {
                 name: self.link_name(link).into(),
                 remote: remote.map_err(|error| self.endpoint_error(Some(&neighbour), error))?,
                 neighbour: Some(neighbour),
-                cost: link.told.cost,
+                cost: link.settings.cost,
                 hello_interval,
                 expected_within,
             })
         };
-        self.told.links.iter().map(spec).collect()
+        self.settings.links.iter().map(spec).collect()
     }
 
     /// An address is wrong: our own, or that of a neighbour.
@@ -208,13 +208,13 @@ impl Network {
     /// Who is admitted, but for those that are described.
     pub(super) fn admission(&self) -> Result<Option<DiscoveryAdmission>, StartError> {
         let name = &self.name;
-        match &self.told.discover {
-            None if self.told.beacons.is_some() => {
+        match &self.settings.discover {
+            None if self.settings.beacons.is_some() => {
                 let text = format!("network {name}: say whom the beacons are for, by discover()");
                 Err(StartError::Network(text))
             }
             None => Ok(None),
-            Some(_) if self.told.beacons.is_none() => Err(StartError::Network(format!(
+            Some(_) if self.settings.beacons.is_none() => Err(StartError::Network(format!(
                 "network {name}: nodes are discovered by their beacons: give the network a group by \
                  `.beacons(\"239.255.0.1:7399\")`, or describe each neighbour by `.peer`"
             ))),

@@ -39,7 +39,7 @@ pub enum HostEvent {
     /// With the loss that was measured over the last 1,000 tries, more tries are needed for less
     /// than one false [`Lost`](HostEvent::Lost) a day.
     TooFewTries {
-        /// How many.
+        /// The number of tries that is needed.
         needed: u8,
         /// Of 1,000 tries so many failed.
         failed_per_mille: u16,
@@ -66,7 +66,7 @@ pub struct DeviceIdentity {
     pub boot: u16,
     /// Why it started.
     pub cause: ResetCause,
-    /// Its type.
+    /// The device's type, as its firmware declares it.
     pub device_type: u32,
     /// The most data bytes of its packets.
     pub data_max: u8,

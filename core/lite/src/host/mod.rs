@@ -99,26 +99,44 @@ pub struct Host<P> {
     phase: Phase,
     session: u16,
     exchange: Option<Waiting>,
+    answers: AnswerRecord,
+    pings: PingSchedule,
+    mirror: Mirror,
+    contract_matches: bool,
+    restart: RestartOrder,
+    work: SessionWork,
+    payload: ReplyPayload,
+    events: EventQueue,
+}
+
+/// How the device answers.
+#[derive(Clone, Debug)]
+struct AnswerRecord {
     /// Unanswered requests in a row.
     misses: u32,
     /// When the device last answered.
     received: Duration,
     lost: bool,
     loss: LossEstimate,
-    pings: PingSchedule,
-    mirror: Mirror,
-    contract_matches: bool,
-    restart: RestartOrder,
+    out_of_turn: u32,
+}
+
+/// What is still to be done in the session.
+#[derive(Clone, Debug)]
+struct SessionWork {
     /// Frames wait for a POLL.
     waiting: bool,
     /// A STATE event was lost: the states are read again.
     event_lost: bool,
     published: PortSet,
     command: CommandSlot,
-    payload: [u8; DATA_MAX],
-    payload_length: usize,
-    events: EventQueue,
-    out_of_turn: u32,
+}
+
+/// The payload of the last reply or data.
+#[derive(Clone, Debug)]
+struct ReplyPayload {
+    data: [u8; DATA_MAX],
+    length: usize,
 }
 
 /// A command is abandoned after so many times the tries that declare a silent device lost: a device
@@ -138,26 +156,23 @@ impl<P: AsRef<[Port]>> Host<P> {
             config,
             phase: Phase::Probing,
             exchange: None,
-            misses: 0,
-            received: now,
-            lost: false,
-            loss,
+            answers: AnswerRecord { misses: 0, received: now, lost: false, loss, out_of_turn: 0 },
             pings: PingSchedule::new(now),
             mirror: Mirror::new(),
             contract_matches: false,
             restart: RestartOrder::None,
-            waiting: false,
-            event_lost: false,
-            published: PortSet::default(),
-            command: CommandSlot::new(),
-            payload: [0; DATA_MAX],
-            payload_length: 0,
+            work: SessionWork {
+                waiting: false,
+                event_lost: false,
+                published: PortSet::default(),
+                command: CommandSlot::new(),
+            },
+            payload: ReplyPayload { data: [0; DATA_MAX], length: 0 },
             events: EventQueue::default(),
-            out_of_turn: 0,
         }
     }
 
-    /// The configuration.
+    /// Returns the configuration that the host was made with.
     pub fn config(&self) -> &HostConfig<P> {
         &self.config
     }
@@ -169,7 +184,7 @@ impl<P: AsRef<[Port]>> Host<P> {
 
     /// Whether the device has been declared lost and has not entered a session since.
     pub fn is_lost(&self) -> bool {
-        self.lost
+        self.answers.lost
     }
 
     /// Whether a request waits for its answer: on a multi-drop line the device has the turn.
@@ -180,7 +195,7 @@ impl<P: AsRef<[Port]>> Host<P> {
     /// How many packets the device has sent outside of its turns. They are dropped: a device that
     /// does so disturbs the others of its line.
     pub fn out_of_turn(&self) -> u32 {
-        self.out_of_turn
+        self.answers.out_of_turn
     }
 
     /// The state of an object, from 1, as the device has last reported it.
@@ -190,7 +205,7 @@ impl<P: AsRef<[Port]>> Host<P> {
 
     /// The bytes that belong to the last [`HostEvent::Data`] or [`HostEvent::Done`].
     pub fn payload(&self) -> &[u8] {
-        &self.payload[..self.payload_length]
+        &self.payload.data[..self.payload.length]
     }
 
     /// Gives the device a command. Its end is a [`HostEvent::Done`].
@@ -202,7 +217,7 @@ impl<P: AsRef<[Port]>> Host<P> {
         if self.phase != Phase::Serving {
             return Err(CommandError::NotServing);
         }
-        self.command.accept(command, self.config.ports.as_ref())
+        self.work.command.accept(command, self.config.ports.as_ref())
     }
 
     /// Announces a new value of an in port. It is sent once, without an answer; the host asks for
@@ -218,7 +233,7 @@ impl<P: AsRef<[Port]>> Host<P> {
         }
         let known = self.config.ports.as_ref().get(port);
         known.filter(|port| port.kind() == PortKind::In).ok_or(CommandError::NoSuchPort)?;
-        self.published.insert(port);
+        self.work.published.insert(port);
         Ok(())
     }
 
@@ -246,7 +261,7 @@ impl<P: AsRef<[Port]>> Host<P> {
             return;
         }
         if address.is_some() && self.exchange.is_none() {
-            self.out_of_turn = self.out_of_turn.saturating_add(1);
+            self.answers.out_of_turn = self.answers.out_of_turn.saturating_add(1);
             return;
         }
         match (packet.sequence, packet.object, packet.message) {
@@ -266,15 +281,17 @@ impl<P: AsRef<[Port]>> Host<P> {
             return;
         };
         self.exchange = None;
-        self.misses = self.misses.saturating_add(1);
+        self.answers.misses = self.answers.misses.saturating_add(1);
         self.estimate(true);
         // Repetitions follow each other faster than pings; the silence must be as long all the
         // same.
-        let silence = self.config.interval * self.loss.tries().into();
-        if self.misses >= self.loss.tries().into() && now.saturating_sub(self.received) >= silence {
+        let silence = self.config.interval * self.answers.loss.tries().into();
+        if self.answers.misses >= self.answers.loss.tries().into()
+            && now.saturating_sub(self.answers.received) >= silence
+        {
             self.lose();
         } else if exchange == Exchange::Command
-            && self.command.miss() >= COMMAND_ROUNDS * u32::from(self.loss.tries())
+            && self.work.command.miss() >= COMMAND_ROUNDS * u32::from(self.answers.loss.tries())
         {
             self.greet(low(self.session));
         }
@@ -300,7 +317,7 @@ impl<P: AsRef<[Port]>> Host<P> {
     ) -> Option<&'b [u8]> {
         let session = self.session;
         let mut data = [0; DATA_MAX];
-        if let Some(index) = self.published.pop() {
+        if let Some(index) = self.work.published.pop() {
             let port = self.config.ports.as_ref()[index];
             let value = &mut data[..usize::from(port.size())];
             values(index, value);
@@ -334,15 +351,15 @@ impl<P: AsRef<[Port]>> Host<P> {
         if self.restart == RestartOrder::Wanted {
             return Some(Exchange::Restart);
         }
-        let silent = self.command.is_taken() && self.misses % 3 == 2;
+        let silent = self.work.command.is_taken() && self.answers.misses % 3 == 2;
         // A POLL restarts the dead-man, which must stop a refused device.
-        if self.waiting && self.phase == Phase::Serving && !silent {
+        if self.work.waiting && self.phase == Phase::Serving && !silent {
             return Some(Exchange::Poll);
         }
-        if self.command.is_taken() && !silent && !self.pings.is_forced(now) {
+        if self.work.command.is_taken() && !silent && !self.pings.is_forced(now) {
             return Some(Exchange::Command);
         }
-        let due = silent || now >= self.pings.due() || self.command.is_taken();
+        let due = silent || now >= self.pings.due() || self.work.command.is_taken();
         due.then_some(Exchange::Ping)
     }
 
@@ -356,13 +373,13 @@ impl<P: AsRef<[Port]>> Host<P> {
         let address = self.config.address;
         let (message, length, back) = match request {
             Exchange::Ping => {
-                let rounds = if self.lost && address.is_some() { LOST_ROUNDS } else { 1 };
+                let rounds = if self.answers.lost && address.is_some() { LOST_ROUNDS } else { 1 };
                 let serves = self.phase == Phase::Serving;
                 data[0] = self.pings.send(serves, now, self.config.interval * rounds);
                 (message::PING, 1, 4)
             }
             Exchange::Poll => {
-                self.waiting = false;
+                self.work.waiting = false;
                 // All at once, so that no port waits behind another that always has something.
                 let (events, bytes) = self.config.events();
                 data[0] = events;
@@ -376,7 +393,7 @@ impl<P: AsRef<[Port]>> Host<P> {
                 // for a first HELLO, and on a multi-drop line outside of the turn.
                 let identity = self.mirror.identity();
                 let last = identity.map_or(self.config.objects(), |device| device.objects);
-                let objects = if self.lost { OBJECTS_MAX } else { last.into() };
+                let objects = if self.answers.lost { OBJECTS_MAX } else { last.into() };
                 (message::HELLO, 4, 10 + objects)
             }
             Exchange::Describe => {
@@ -389,7 +406,7 @@ impl<P: AsRef<[Port]>> Host<P> {
                 data[..4].copy_from_slice(&self.device_type().to_le_bytes());
                 (message::RESTART, 4, 2)
             }
-            Exchange::Command => return self.command.send(address),
+            Exchange::Command => return self.work.command.send(address),
         };
         let data = &data[..length];
         Some((DevicePacket { message, data, ..DevicePacket::to_device(address) }, back))
@@ -411,8 +428,8 @@ impl<P: AsRef<[Port]>> Host<P> {
                 self.answered(now);
                 self.pings.handle_pong(now, self.config.interval);
                 // A device with much to send does not keep a command from more than one turn.
-                let polled = exchange == Exchange::Poll && self.command.is_taken();
-                self.waiting = flags & message::FLAG_WAITING != 0 && !polled;
+                let polled = exchange == Exchange::Poll && self.work.command.is_taken();
+                self.work.waiting = flags & message::FLAG_WAITING != 0 && !polled;
                 // Until a POLL, reports of faults may still wait on the device.
                 let all_reported = exchange == Exchange::Poll || flags & message::FLAG_WAITING == 0;
                 let event_lost = self.mirror.handle_pong(boot, flags, all_reported);
@@ -450,7 +467,7 @@ impl<P: AsRef<[Port]>> Host<P> {
             self.greet(session.unwrap_or(0));
         } else if self.phase == Phase::Serving && event_lost {
             // The reply to HELLO lists the states; a command comes first.
-            self.event_lost = true;
+            self.work.event_lost = true;
             self.refresh();
         }
         if self.restart == RestartOrder::Sent {
@@ -459,14 +476,14 @@ impl<P: AsRef<[Port]>> Host<P> {
     }
 
     fn refresh(&mut self) {
-        if self.event_lost && !self.command.is_taken() {
+        if self.work.event_lost && !self.work.command.is_taken() {
             self.greet(low(self.session));
         }
     }
 
     fn greeted(&mut self, identity: DeviceIdentity, states: &[u8]) {
         let identity = self.mirror.handle_hello(identity, states);
-        self.lost = false;
+        self.answers.lost = false;
         if identity.reset {
             self.restart = RestartOrder::None;
         }
@@ -512,7 +529,7 @@ impl<P: AsRef<[Port]>> Host<P> {
     }
 
     fn reply(&mut self, packet: &DevicePacket<'_>, now: Duration) {
-        let Some((status, payload)) = self.command.reply(packet) else { return };
+        let Some((status, payload)) = self.work.command.reply(packet) else { return };
         self.answered(now);
         if status == Status::OutOfStep {
             self.events.push(HostEvent::OutOfStep);
@@ -524,7 +541,7 @@ impl<P: AsRef<[Port]>> Host<P> {
             self.mirror.note_state(packet.object, state);
         }
         self.keep(payload);
-        self.command.finish();
+        self.work.command.finish();
         self.events.push(HostEvent::Done(CommandOutcome::Replied(status)));
         self.refresh();
     }
@@ -532,23 +549,23 @@ impl<P: AsRef<[Port]>> Host<P> {
     /// Takes the end of an exchange.
     fn answered(&mut self, now: Duration) {
         self.exchange = None;
-        self.misses = 0;
-        self.received = now;
+        self.answers.misses = 0;
+        self.answers.received = now;
         self.estimate(false);
     }
 
     fn estimate(&mut self, missed: bool) {
         // A device that is switched off is no measure of the line.
-        if !self.lost
-            && let Some(warning) = self.loss.count(missed, self.config.interval)
+        if !self.answers.lost
+            && let Some(warning) = self.answers.loss.count(missed, self.config.interval)
         {
             self.events.push(warning);
         }
     }
 
     fn lose(&mut self) {
-        if !self.lost {
-            self.lost = true;
+        if !self.answers.lost {
+            self.answers.lost = true;
             self.events.push(HostEvent::Lost);
         }
         self.restart = RestartOrder::None;
@@ -574,18 +591,18 @@ impl<P: AsRef<[Port]>> Host<P> {
         if self.restart == RestartOrder::Sent {
             self.restart = RestartOrder::None;
         }
-        self.waiting = false;
-        self.event_lost = false;
+        self.work.waiting = false;
+        self.work.event_lost = false;
         // A value from before an interruption must not move an actuator after it.
-        self.published = PortSet::default();
-        if let Some(outcome) = self.command.end_session() {
+        self.work.published = PortSet::default();
+        if let Some(outcome) = self.work.command.end_session() {
             self.events.push(HostEvent::Done(outcome));
         }
     }
 
     fn keep(&mut self, payload: &[u8]) {
-        self.payload_length = payload.len();
-        self.payload[..payload.len()].copy_from_slice(payload);
+        self.payload.length = payload.len();
+        self.payload.data[..payload.len()].copy_from_slice(payload);
     }
 }
 

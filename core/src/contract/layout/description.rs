@@ -9,6 +9,7 @@ use std::collections::VecDeque;
 const TYPE_LIMIT: usize = 512;
 /// The longest name or unit in a description, in bytes: it is shown to a person on one line.
 const TEXT_LIMIT: usize = 128;
+const UNPRINTABLE: &str = "the description holds a name or unit that cannot be shown";
 
 /// A [`Layout`] as an owned value: a table of types, the described one first.
 ///
@@ -24,32 +25,6 @@ const TEXT_LIMIT: usize = 128;
 #[serde(try_from = "Vec<Shape<u32>>", into = "Vec<Shape<u32>>")]
 pub struct LayoutDescription {
     types: Vec<Shape<u32>>,
-}
-
-/// Why a table of types is no description.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum DescriptionError {
-    /// There is no type in it.
-    #[error("the description is empty")]
-    Empty,
-    /// The contract is too large to be shown; its fingerprint is compared nevertheless.
-    #[error("the description holds {count} types; at most {TYPE_LIMIT} are taken")]
-    TooManyTypes {
-        /// How many it holds.
-        count: usize,
-    },
-    /// A type refers to one that is not there: the sender is broken or hostile.
-    #[error("the description refers to type {index} of {count}")]
-    DanglingReference {
-        /// The reference.
-        index: u32,
-        /// How many types there are.
-        count: usize,
-    },
-    /// A name or unit is too long, or holds control characters: the sender is broken or hostile.
-    #[error("the description holds a name or unit that cannot be shown")]
-    Unprintable,
 }
 
 impl LayoutDescription {
@@ -76,21 +51,23 @@ impl LayoutDescription {
     /// Whether the description keeps the bounds that its receiver holds it to.
     ///
     /// # Errors
-    /// [`DescriptionError`] says which bound is broken.
-    pub fn check(&self) -> Result<(), DescriptionError> {
+    /// Says which bound is broken: the description is too large, or its sender is broken or hostile.
+    pub fn check(&self) -> Result<(), String> {
         let count = self.types.len();
         if count == 0 {
-            return Err(DescriptionError::Empty);
+            return Err("the description is empty".to_owned());
         }
         if count > TYPE_LIMIT {
-            return Err(DescriptionError::TooManyTypes { count });
+            return Err(format!(
+                "the description holds {count} types; at most {TYPE_LIMIT} are taken"
+            ));
         }
         for shape in &self.types {
             if let Some(index) = shape.parts().into_iter().find(|&of| of as usize >= count) {
-                return Err(DescriptionError::DanglingReference { index, count });
+                return Err(format!("the description refers to type {index} of {count}"));
             }
             if !texts(shape).into_iter().all(printable) {
-                return Err(DescriptionError::Unprintable);
+                return Err(UNPRINTABLE.to_owned());
             }
         }
         Ok(())
@@ -98,9 +75,9 @@ impl LayoutDescription {
 }
 
 impl TryFrom<Vec<Shape<u32>>> for LayoutDescription {
-    type Error = DescriptionError;
+    type Error = String;
 
-    fn try_from(types: Vec<Shape<u32>>) -> Result<Self, DescriptionError> {
+    fn try_from(types: Vec<Shape<u32>>) -> Result<Self, String> {
         let description = LayoutDescription { types };
         description.check()?;
         Ok(description)

@@ -108,14 +108,14 @@ pub struct Field<R: Clone + 'static> {
     pub unit: Option<Text>,
     /// The coordinate frame that its value is given in, such as `laser`.
     pub frame: Option<Text>,
-    /// Its type.
+    /// The type of its value.
     pub of: R,
 }
 
 /// One variant of an enumeration.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Variant<R: Clone + 'static> {
-    /// Its name.
+    /// The variant's name.
     pub name: Text,
     /// What it carries.
     pub fields: Fields<R>,

@@ -1,7 +1,6 @@
 //! What each finding means: the detector's opinion of objects, links and nodes.
 
 use super::{Cause, Detector, Scene, Seen};
-use crate::detection::correlation::is_down;
 use crate::detection::{ExitReason, Finding, LinkCondition, NodeCondition, OverloadFigures};
 use crate::{
     Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant, Lifecycle, NodeName, ObjectName,
@@ -450,7 +449,7 @@ impl Detector {
         let of_culprit = || {
             let mut latest = self.fault_log.latest_first();
             latest
-                .find(|fault| is_down(fault) && is_at_culprit(fault))
+                .find(|fault| fault.kind.is_down() && is_at_culprit(fault))
                 .and_then(|fault| (fault.found_at - Instant::ORIGIN >= since).then_some(fault.id))
         };
         self.behind(victim).or_else(of_culprit).map_or(Cause::Above, Cause::Known)
@@ -463,7 +462,7 @@ impl Detector {
             self.behind(object).filter(|&id| self.is_hang(id) || self.fault_log.stands(id));
         let own = || {
             let here = self.fault_log.open_faults_at(&scene.location);
-            here.filter(|fault| is_down(fault) && fault.kind != FaultKind::Silence)
+            here.filter(|fault| fault.kind.is_down() && fault.kind != FaultKind::Silence)
                 .map(|fault| fault.id)
                 .min()
         };

@@ -58,7 +58,8 @@ impl ComponentRecord {
     ) -> Option<LivenessEvent> {
         let reading = self.reading?;
         let pushed = self.judged.limits.max_silence.filter(|_| reading.speaks);
-        let pushed = pushed.map(|limit| if self.sign_seen { limit.between } else { limit.first });
+        let pushed =
+            pushed.map(|limit| if self.last_sign.is_some() { limit.between } else { limit.first });
         let limit = pushed.or(self.judged.limits.max_unanswered)?.max(reading.allowance);
         let silent_for = now - self.alive_since;
         if silent_for < limit {

@@ -24,6 +24,7 @@ mod lateness;
 mod load;
 mod processor;
 mod slot_table;
+mod turn;
 mod types;
 
 pub mod occupancy;
@@ -38,6 +39,7 @@ pub use self::types::{
 use self::entry::ComponentEntry;
 use self::lateness::{Episode, Late, Lateness, OverloadRoot};
 use self::processor::ProcessorShare;
+use self::turn::ThreadTurn;
 use crate::detection::Finding;
 use crate::sorted::SortedMap;
 use crate::{Instant, Machine, ObjectName};
@@ -48,24 +50,14 @@ use std::time::Duration;
 #[derive(Debug)]
 struct Arbiter {
     beat: u64,
-    running: Option<SlotId>,
-    turn: Option<u64>,
-    allowance: Duration,
-    /// At which look these were first seen.
-    since: Instant,
-    /// How much of the time since then is charged to what is on the thread.
-    charged: Duration,
     /// When this beat was first seen.
     beat_since: Instant,
-    /// What its thread had used of the processor at the last look, if it was ready to run.
-    used: Option<Duration>,
+    turn: ThreadTurn,
     /// For how long it was ready to run, stood, and was not run.
     starved: Duration,
     occupancy: Occupancy<SlotId>,
     processor: ProcessorShare,
     hang: Option<Hang>,
-    /// The components that were abandoned while they were on the thread.
-    left: Option<ObjectName>,
     /// The root of an overload that stands.
     overloaded: Option<SlotId>,
     fenced_since: Option<Instant>,
@@ -94,8 +86,6 @@ struct ComponentRecord {
     worked: bool,
     /// This turn has been reported.
     waits: bool,
-    /// This incarnation has given a sign.
-    sign_seen: bool,
     silence: Silence,
     lateness: Lateness,
     /// An overload whose root it is.
@@ -157,8 +147,8 @@ impl HangDetector {
         let Some(component) = self.components.remove(slot) else { return };
         let JudgedComponent { object, arbiter, .. } = component.judged();
         if let Some(arbiter) = self.arbiters.get_mut(arbiter) {
-            if arbiter.running == Some(slot) {
-                arbiter.left = Some(object.clone());
+            if arbiter.turn.running == Some(slot) {
+                arbiter.turn.left = Some(object.clone());
             }
             arbiter.overloaded.take_if(|root| *root == slot);
         }
@@ -193,22 +183,14 @@ impl HangDetector {
     /// What an arbiter says.
     pub fn handle_heartbeat(&mut self, id: ArbiterId, reading: ArbiterSample) {
         let (now, at) = (self.clock, self.looked_at.unwrap_or(Instant::ORIGIN));
-        let turn = reading.activity.map(|activity| activity.turn);
-        let allowance = reading.activity.map_or(Duration::ZERO, |activity| activity.allowance);
         let arbiter = self.arbiters.entry(id).or_insert(Arbiter {
             beat: reading.beat,
-            running: reading.running,
-            turn,
-            allowance,
-            since: at,
-            charged: Duration::ZERO,
             beat_since: now,
-            used: None,
+            turn: ThreadTurn::new(&reading, at),
             starved: Duration::ZERO,
             occupancy: Occupancy::default(),
             processor: ProcessorShare::default(),
             hang: None,
-            left: None,
             overloaded: None,
             fenced_since: None,
             lost: false,
@@ -216,27 +198,10 @@ impl HangDetector {
         arbiter.occupancy.note(reading.running);
         let beats = arbiter.beat != reading.beat;
         if beats {
-            arbiter.beat_since = now;
+            (arbiter.beat, arbiter.beat_since) = (reading.beat, now);
         }
-        // A culprit that was given up meanwhile has not thereby moved on.
-        let turned = turn.is_some() && arbiter.turn != turn;
-        let changed = beats || arbiter.running != reading.running || turned;
-        if changed {
-            (arbiter.beat, arbiter.running) = (reading.beat, reading.running);
-            (arbiter.turn, arbiter.since) = (turn, at);
-            arbiter.left = None;
-        } else if arbiter.allowance != allowance && arbiter.hang.is_none() {
-            // A declared operation begins or ends within the turn: each part has its own time.
-            arbiter.since = at;
-        }
-        arbiter.allowance = allowance;
-        // A thread that was ready to run did what it used of the processor, however late this look
-        // is. One that waits for something does so by this clock.
-        let charged = match (std::mem::replace(&mut arbiter.used, reading.used), reading.used) {
-            (Some(before), Some(used)) => used.saturating_sub(before),
-            _ => self.step,
-        };
-        arbiter.charged = (arbiter.charged + charged).min(at - arbiter.since);
+        let changed = arbiter.turn.handle_sample(&reading, at, beats, arbiter.hang.is_some());
+        let charged = arbiter.turn.charge(reading.used, self.step, at);
         if now - arbiter.beat_since >= 2 * load::LOOK {
             arbiter.starved += self.step.saturating_sub(charged);
         }
@@ -255,13 +220,13 @@ impl HangDetector {
 
     fn judge_arbiter(&mut self, id: ArbiterId, reading: &ArbiterSample, at: Instant) {
         let Some(arbiter) = self.arbiters.get(&id) else { return };
-        let (Some(slot), None) = (arbiter.running, &arbiter.hang) else { return };
+        let (Some(slot), None) = (arbiter.turn.running, &arbiter.hang) else { return };
         let Some(culprit) = self.judged(slot) else { return };
-        let limit = culprit.limits.max_block.max(arbiter.allowance);
-        if arbiter.charged < limit || culprit.arbiter != id {
+        let limit = culprit.limits.max_block.max(arbiter.turn.allowance);
+        if arbiter.turn.charged < limit || culprit.arbiter != id {
             return;
         }
-        let age = at - arbiter.since;
+        let age = at - arbiter.turn.since;
         let object = culprit.object.clone();
         let victims = self.others_on(id, slot).into();
         if let Some(arbiter) = self.arbiters.get_mut(&id) {
@@ -295,7 +260,7 @@ impl HangDetector {
         let Some(arbiter) = self.arbiters.get_mut(&id) else { return };
         arbiter.lost = true;
         let hang = arbiter.hang.as_ref().map(|hang| (hang.culprit.clone(), hang.slot));
-        let left = arbiter.left.clone();
+        let left = arbiter.turn.left.clone();
         let known = hang.or_else(|| {
             let slot = running?;
             let runs = || Some(self.judged(slot)?.object.clone());
@@ -320,7 +285,8 @@ impl HangDetector {
     /// What is known of every arbiter.
     pub fn arbiters(&self) -> impl Iterator<Item = (ArbiterId, ArbiterStatus)> + '_ {
         self.arbiters.iter().map(|(id, arbiter)| {
-            let hangs = arbiter.hang.as_ref().map(|hang| (hang.culprit.clone(), arbiter.since));
+            let hangs =
+                arbiter.hang.as_ref().map(|hang| (hang.culprit.clone(), arbiter.turn.since));
             (*id, ArbiterStatus { busy: arbiter.occupancy.share(), hangs })
         })
     }
@@ -402,7 +368,7 @@ impl Around<'_> {
 
     /// The component is on the thread.
     fn runs(&self) -> bool {
-        self.arbiter.is_some_and(|arbiter| arbiter.running == Some(self.slot))
+        self.arbiter.is_some_and(|arbiter| arbiter.turn.running == Some(self.slot))
     }
 
     /// The arbiter hangs, or has been given up: what happens to those on it is decided with it.
@@ -428,7 +394,6 @@ impl ComponentRecord {
             last_sign: None,
             worked: false,
             waits: false,
-            sign_seen: false,
             silence: Silence::No,
             lateness: Lateness::default(),
             overload: None,
@@ -499,7 +464,6 @@ impl ComponentRecord {
         let answers = self.judged.limits.max_unanswered.is_some() && (turned || beats);
         if signs || answers || (!reading.speaks && self.judged.limits.max_unanswered.is_none()) {
             (self.alive_since, self.worked) = (now, false);
-            self.sign_seen |= signs;
             if signs {
                 self.last_sign = Some(now);
             }

@@ -55,7 +55,7 @@ impl Default for HangDetectorConfig {
 /// A component that is judged.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct JudgedComponent {
-    /// The component.
+    /// The name of the component.
     pub object: ObjectName,
     /// The arbiter that it lives on.
     pub arbiter: ArbiterId,
@@ -116,7 +116,7 @@ pub struct ComponentSample {
     pub turn: u64,
     /// Signs of life.
     pub alive: u64,
-    /// Which incarnation.
+    /// The incarnation of the component.
     pub incarnation: Incarnation,
     /// It is at work: signs of life are to be expected, and its messages are served.
     pub speaks: bool,
@@ -181,7 +181,7 @@ pub enum LivenessEvent {
     Component {
         /// The component; of an overload or hang the culprit.
         object: ObjectName,
-        /// Which incarnation.
+        /// The incarnation that this was found in.
         incarnation: Incarnation,
         /// What was found.
         finding: Finding,
@@ -196,7 +196,7 @@ pub enum LivenessEvent {
     },
     /// The grace time of a fenced arbiter is over.
     Lost {
-        /// Which.
+        /// The arbiter whose thread does not return.
         arbiter: ArbiterId,
         /// The component whose handler keeps it.
         culprit: ObjectName,

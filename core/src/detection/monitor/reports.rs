@@ -3,7 +3,7 @@
 
 use super::Monitor;
 use crate::detection::hang::LivenessEvent;
-use crate::detection::{Finding, NodeCondition};
+use crate::detection::{Finding, NodeCondition, Observation};
 use crate::{FaultLocation, Incarnation, Instant, ObjectName};
 
 impl Monitor {
@@ -40,10 +40,10 @@ impl Monitor {
                 let since = Instant::ORIGIN + (now - (Instant::ORIGIN + *age));
                 entry.set_current(Some((during, since)));
             }
-            Finding::Silent { .. } => entry.silent = true,
+            Finding::Silent { .. } => entry.signs.silent = true,
             Finding::Spoke => {
-                (entry.last_sign, entry.suspect) = (Some(now), false);
-                if !std::mem::replace(&mut entry.silent, false) {
+                entry.signs.handle_sign(now);
+                if !std::mem::take(&mut entry.signs.silent) {
                     return;
                 }
             }
@@ -51,10 +51,8 @@ impl Monitor {
         }
         if let Finding::Hangs { victims, .. } = &finding {
             for victim in victims.iter().filter(|&victim| victim != object) {
-                if let Some(entry) = self.objects.get_mut(victim)
-                    && !std::mem::replace(&mut entry.suspect, true)
-                {
-                    entry.suspicions = entry.suspicions.saturating_add(1);
+                if let Some(entry) = self.objects.get_mut(victim) {
+                    entry.signs.handle_suspicion();
                 }
             }
         }
@@ -66,8 +64,7 @@ impl Monitor {
         for object in objects {
             let Some(entry) = self.objects.get_mut(object) else { continue };
             entry.set_current(None);
-            entry.suspect = false;
-            entry.last_sign = Some(now);
+            entry.signs.handle_sign(now);
             let incarnation = entry.incarnation;
             self.observe_object(object, incarnation, Finding::Resumed, now);
         }
@@ -91,6 +88,7 @@ impl Monitor {
 
     fn observe_this_node(&mut self, condition: NodeCondition, now: Instant) {
         let location = FaultLocation::Node(self.node.clone());
-        self.observe(location, Incarnation::default(), Finding::Node(condition), now);
+        let (incarnation, finding) = (Incarnation::default(), Finding::Node(condition));
+        self.observe(Observation { location, incarnation, finding, seen_at: now });
     }
 }

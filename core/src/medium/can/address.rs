@@ -1,7 +1,7 @@
 //! Sender and receiver on a bus without addresses: both are encoded in the identifier.
 //!
 //! ```text
-//! 29 bits, the "normal fixed" addressing of ISO 15765-2, which leaves has_buffer for J1939 beside it:
+//! 29 bits, the "normal fixed" addressing of ISO 15765-2, which leaves room for J1939 beside it:
 //!   28    26 25    24 23        16 15       8 7        0
 //! ┌─────────┬────────┬────────────┬──────────┬──────────┐
 //! │priority │   0    │ DA: to one │  target  │  source  │   DB: to all
@@ -64,9 +64,9 @@ impl Default for Addressing {
 /// What an identifier says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AddressInfo {
-    /// Who speaks.
+    /// The address of the sender.
     pub source: BusAddress,
-    /// To whom, or [`BusAddress::ALL`].
+    /// The address of the receiver, or [`BusAddress::ALL`].
     pub target: BusAddress,
 }
 

@@ -97,12 +97,12 @@ pub enum AddressClaimOutput {
     Held,
     /// Another wanted it, and is to fall silent. It is told once for each.
     Kept {
-        /// Who.
+        /// The claim of the node that wanted it.
         from: AddressClaimed,
     },
     /// Another has it: be silent.
     Lost {
-        /// Who.
+        /// The claim of the node that has it.
         to: AddressClaimed,
     },
 }

@@ -8,7 +8,7 @@ pub const CLASSIC_MAX: usize = 8;
 pub const FD_MAX: usize = 64;
 
 /// The lengths that a CAN FD frame can have beyond eight bytes (ISO 11898-1).
-const FD_LENGTHS: [usize; 7] = [12, 16, 20, 24, 32, 48, 64];
+pub(crate) const FD_LENGTHS: [usize; 7] = [12, 16, 20, 24, 32, 48, 64];
 const STANDARD_MAX: u32 = 0x7ff;
 const EXTENDED_MAX: u32 = 0x1fff_ffff;
 
@@ -16,9 +16,9 @@ const EXTENDED_MAX: u32 = 0x1fff_ffff;
 /// first.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum CanId {
-    /// 11 bits.
+    /// An identifier of 11 bits.
     Standard(StandardId),
-    /// 29 bits.
+    /// An identifier of 29 bits.
     Extended(ExtendedId),
 }
 

@@ -11,20 +11,64 @@
 //! clock was set back while it was off is found as fast as any other. Of two that both send, the
 //! first keeps the link.
 
-use super::quality::QualityEstimator;
 use super::{Link, Neighbour, NeighbourRecord, PeerRefusal};
-use crate::Instant;
 use crate::net::link::arrival::{ArrivalEstimator, HelloArrival};
 use crate::net::wire::frame::Hello;
 use crate::net::wire::node_id::NodeId;
+use crate::{Incarnation, Instant};
 use std::time::Duration;
 
 /// A hello's number may be ahead by so many more intervals than have passed since the last one was
-/// received, which may have been delayed, or have waited while this node was not run. The numbers in between count as missed.
+/// received, which may have been delayed, or have waited while this node was not run. The numbers
+/// in between count as missed.
 const AHEAD_MAX: i64 = 2;
 
 /// A hello that so many later ones have overtaken is none that was merely late.
 const BEHIND_MAX: i64 = 64;
+
+/// Which doubts there are about the node at the other end.
+#[derive(Debug, Default)]
+pub(super) struct Acquaintance {
+    /// The incarnation in which the neighbour is, as its key has proved; `None` where frames are
+    /// not sealed.
+    pub(super) authenticated: Option<Incarnation>,
+    /// The last hello that contradicts what is known of the neighbour.
+    pub(super) contradiction: Option<Contradiction>,
+    /// The last refusal: a single one may be an accident.
+    doubted: Option<PeerRefusal>,
+    /// The last that was reported.
+    pub(super) refused: Option<PeerRefusal>,
+}
+
+impl Acquaintance {
+    /// Returns a refusal that occurs twice in a row, unless it was the last reported.
+    fn refuse(&mut self, refusal: PeerRefusal) -> Option<PeerRefusal> {
+        if self.refused.as_ref() == Some(&refusal) {
+            return None;
+        }
+        let refusal = Some(refusal);
+        if refusal == self.doubted {
+            self.refused.clone_from(&refusal);
+            return refusal;
+        }
+        self.doubted = refusal;
+        None
+    }
+
+    pub(super) fn forget_refusals(&mut self) {
+        (self.doubted, self.refused) = (None, None);
+    }
+
+    /// Whether an earlier hello was the last contradiction, and said the same.
+    fn is_repeated(&mut self, hello: &Hello, interval: Duration) -> bool {
+        let (neighbour, sequence) = (Neighbour::of(hello), hello.sequence);
+        let before = self.contradiction.replace(Contradiction { neighbour, interval, sequence });
+        before.is_some_and(|before| {
+            let later = sequence.wrapping_sub(before.sequence).cast_signed() > 0;
+            later && before.neighbour.is(hello) && before.interval == interval
+        })
+    }
+}
 
 /// The last hello that contradicts what is known of the neighbour.
 #[derive(Debug)]
@@ -58,19 +102,11 @@ impl Link {
         }
     }
 
-    /// Counts every refusal. Reports one that occurs twice in a row, unless it was the last
-    /// reported.
+    /// Counts every refusal. Reports one that occurs twice in a row.
     pub(super) fn refuse(&mut self, refusal: Option<PeerRefusal>) {
         self.refusals.unexpected += 1;
-        if refusal.is_none() || refusal == self.refused {
-            return;
-        }
-        if refusal == self.doubted {
-            self.refused.clone_from(&refusal);
-            self.outputs.extend(refusal.map(super::LinkOutput::Refused));
-        } else {
-            self.doubted = refusal;
-        }
+        let reported = refusal.and_then(|refusal| self.acquaintance.refuse(refusal));
+        self.outputs.extend(reported.map(super::LinkOutput::Refused));
     }
 
     /// Whether this is a new hello of the neighbour. Any other is counted as refused.
@@ -80,19 +116,23 @@ impl Link {
             return HelloArrival::New { missed: 0 };
         };
         let same = record.neighbour.is(hello) && interval == record.arrivals.interval();
-        let stalled = if now < record.excused_until { record.stalled } else { Duration::ZERO };
+        let stall = &record.stall;
+        let stalled = if now < stall.until { stall.stalled } else { Duration::ZERO };
         let (highest, passed) = (record.arrivals.highest(), now - record.received_at + stalled);
         if same && !is_far_off(highest, hello.sequence, passed, interval) {
             let arrival = record.arrivals.handle(hello.sequence, hello.skipped, now);
             match arrival {
-                HelloArrival::New { .. } => self.contradiction = None,
+                HelloArrival::New { .. } => self.acquaintance.contradiction = None,
                 HelloArrival::Old => self.refusals.stale += 1,
             }
             return arrival;
         }
         // By the shorter interval it would be down before its second hello.
         let slower = record.neighbour.is(hello) && interval > record.arrivals.interval();
-        if self.authenticated.is_none() && !slower && !self.is_confirmed(hello, interval, now) {
+        if self.acquaintance.authenticated.is_none()
+            && !slower
+            && !self.is_confirmed(hello, interval, now)
+        {
             match self.is_known(hello) {
                 true => self.refusals.stale += 1,
                 false => self.refusals.unexpected += 1,
@@ -112,13 +152,7 @@ impl Link {
     /// Whether the last contradiction said the same, and it is possible: another incarnation while
     /// the neighbour is silent or was never shown to receive our hellos.
     fn is_confirmed(&mut self, hello: &Hello, interval: Duration, now: Instant) -> bool {
-        let said =
-            Contradiction { neighbour: Neighbour::of(hello), interval, sequence: hello.sequence };
-        let before = self.contradiction.replace(said);
-        let again = before.is_some_and(|before| {
-            let later = hello.sequence.wrapping_sub(before.sequence).cast_signed() > 0;
-            later && before.neighbour.is(hello) && before.interval == interval
-        });
+        let again = self.acquaintance.is_repeated(hello, interval);
         let possible = self.neighbour.as_ref().is_none_or(|record| {
             match record.neighbour.is(hello) {
                 // What the present incarnation has said before says nothing against it.
@@ -131,7 +165,7 @@ impl Link {
 
     /// Starts with a new neighbour, or with a new incarnation of the present one.
     fn begin_with(&mut self, hello: &Hello, interval: Duration, now: Instant) {
-        self.contradiction = None;
+        self.acquaintance.contradiction = None;
         let arrivals = ArrivalEstimator::new(interval, hello.sequence, now);
         if let Some(record) = &mut self.neighbour
             && record.neighbour.is(hello)
@@ -142,29 +176,13 @@ impl Link {
         if self.carries() {
             self.go_down("the neighbour has restarted", now);
         }
-        // The link went down because that incarnation ended, which is no flap of the medium.
-        self.flaps = 0;
-        let record = NeighbourRecord {
-            neighbour: Neighbour::of(hello),
-            arrivals,
-            received_at: now,
-            heard_at: now,
-            hellos_received: 0,
-            stance: hello.stance,
-            loss_there: 0,
-            echoed: None,
-            answered: Instant::ORIGIN,
-            excused_until: Instant::ORIGIN,
-            excuses: 0,
-            stalled: Duration::ZERO,
-        };
-        self.neighbour = Some(record);
-        self.gauge = QualityEstimator::default();
+        self.damping.forget_flaps();
+        self.neighbour = Some(NeighbourRecord::new(hello, arrivals, now));
     }
 }
 
 impl Neighbour {
-    fn of(hello: &Hello) -> Self {
+    pub(super) fn of(hello: &Hello) -> Self {
         Neighbour { node: hello.node.clone(), incarnation: hello.incarnation }
     }
 

@@ -28,10 +28,7 @@ pub(crate) struct ArrivalEstimator {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum HelloArrival {
     /// The newest so far; so many before it have not come.
-    New {
-        /// How many.
-        missed: u32,
-    },
+    New { missed: u32 },
     /// Late or doubled: it says nothing about now.
     Old,
 }
@@ -114,19 +111,6 @@ impl ArrivalEstimator {
         Instant::from_nanos(u64::try_from(nanos).unwrap_or(u64::MAX))
     }
 
-    /// How surprising the silence is by now: φ of Hayashibara et al. (SRDS 2004), here from the
-    /// expected arrival and the spread around it. 1 is one in ten, 3 one in a thousand, if delays
-    /// were normally distributed. They are not: it is a score for people, and decides nothing.
-    pub(crate) fn phi(&self, now: Instant) -> f32 {
-        let count = self.offsets.len().max(1) as f64;
-        let mean = self.sum as f64 / count;
-        let squares: f64 = self.offsets.iter().map(|offset| (*offset as f64 - mean).powi(2)).sum();
-        // A quiet network would make every microsecond a surprise.
-        let spread = (squares / count).sqrt().max(self.interval.as_nanos() as f64 / 10.0);
-        let (now, expected) = (now.as_nanos() as f64, self.expected().as_nanos() as f64);
-        -log10_tail((now - expected) / spread) as f32
-    }
-
     /// How many of a thousand did not arrive, over the last 64; `None` while too few are known.
     pub(crate) fn loss_permille(&self) -> Option<u16> {
         // With fewer than 16, one loss would already look like a bad link.
@@ -135,25 +119,6 @@ impl ArrivalEstimator {
             (lost * 1000 / self.span) as u16
         })
     }
-}
-
-/// The decimal logarithm of the chance that a normal variable exceeds its mean by `z` deviations.
-/// `1 - cdf(z)` would be nothing but rounding from `z` = 8 on.
-fn log10_tail(z: f64) -> f64 {
-    if z < 0.0 {
-        return (1.0 - 10f64.powf(log10_tail(-z))).log10();
-    }
-    let density = -z * z / 2.0 - (2.0 * std::f64::consts::PI).ln() / 2.0;
-    let ratio = if z < 2.0 {
-        // Zelen and Severo; Abramowitz and Stegun 26.2.17: off by less than 1e-7.
-        let t = 1.0 / (1.0 + 0.231_641_9 * z);
-        let terms = [1.330_274_429, -1.821_255_978, 1.781_477_937, -0.356_563_782, 0.319_381_530];
-        terms.iter().fold(0.0, |sum, term| (sum + term) * t)
-    } else {
-        // Laplace's continued fraction of Mills' ratio; Abramowitz and Stegun 26.2.14.
-        1.0 / (1..=20).rev().fold(z, |rest, n| z + f64::from(n) / rest)
-    };
-    (density + ratio.ln()) / std::f64::consts::LN_10
 }
 
 #[cfg(test)]
@@ -170,33 +135,6 @@ mod tests {
         arrivals.handle(101, 0, Instant::from_millis(1014));
 
         assert_eq!(arrivals.expected(), Instant::from_millis(1022));
-    }
-
-    #[test]
-    fn phi_is_the_logarithm_of_the_chance_that_a_hello_is_so_late() {
-        let check = |z: f64, phi: f64| {
-            assert!((log10_tail(z) + phi).abs() < 1e-4 * phi.max(1.0), "{z}: {}", log10_tail(z));
-        };
-        check(-3.0, 0.000_586_6);
-        check(0.0, 2f64.log10());
-        check(1.281_552, 1.0);
-        check(1.999_999, 1.643_03);
-        check(2.000_001, 1.643_03);
-        check(3.090_232, 3.0);
-        check(5.612_001, 8.0);
-        check(10.0, 23.118_1);
-        check(40.0, 349.437_0);
-    }
-
-    #[test]
-    fn the_longer_the_silence_the_greater_is_phi() {
-        let mut arrivals = ArrivalEstimator::new(INTERVAL, 0, Instant::ORIGIN);
-        for number in 1..=40 {
-            arrivals.handle(number, 0, Instant::from_millis(10 * u64::from(number)));
-        }
-        let phi = [400, 405, 410, 412, 415].map(|at| arrivals.phi(Instant::from_millis(at)));
-        assert!(phi.is_sorted() && phi[0] < 0.01 && phi[4] > 5.0, "{phi:?}");
-        assert!((phi[2] - 0.301).abs() < 0.01, "{phi:?}");
     }
 
     #[test]

@@ -1,76 +1,84 @@
-//! When a link that was down or suspect is used again, and for which traffic.
+//! How often a link has failed lately, and what it must prove before it is trusted again.
 
-use super::{Link, LinkState};
 use crate::Instant;
-use crate::net::wire::hello_state::HelloState;
+use std::time::Duration;
 
-impl Link {
-    /// Whether the hellos of a suspect link are received again, and it is not trusted yet because
-    /// of how often they were late.
-    pub fn is_proving(&self) -> bool {
-        self.state == LinkState::Suspect && self.proving
+/// A link that stayed up for so long has proved itself; earlier failures are forgotten.
+const MEMORY: Duration = Duration::from_secs(10);
+/// 16 times the usual proof at most, so that a repaired link comes back within seconds.
+const FLAPS_MAX: u32 = 4;
+
+/// The recent failures of a link.
+#[derive(Debug, Default)]
+pub(super) struct FlapDamping {
+    flaps: RecentCount,
+    suspicions: RecentCount,
+    /// Hellos since the last suspicion, less two for each that was missing.
+    calm: u32,
+    /// It is suspect although hellos are received again.
+    pub(super) proving: bool,
+    /// It has failed since it was trusted last. It carries only what has no other path until it has
+    /// proved itself as often as it has failed lately.
+    pub(super) damped: bool,
+}
+
+/// How often something happened without a pause of [`MEMORY`], and when last.
+#[derive(Debug, Default)]
+struct RecentCount {
+    count: u32,
+    last_at: Instant,
+}
+
+impl RecentCount {
+    fn add(&mut self, max: u32, now: Instant) {
+        self.expire(now);
+        *self = RecentCount { count: (self.count + 1).min(max), last_at: now };
     }
 
-    /// Whether it has failed so often lately that it carries only what has no other path.
-    pub fn is_distrusted(&self) -> bool {
-        self.state == LinkState::Suspect && self.damped
-    }
-
-    /// Raises the state after a hello, if it has proved enough.
-    pub(super) fn rise(&mut self, now: Instant) {
-        let Some(record) = &self.neighbour else { return };
-        match self.state {
-            LinkState::Up => {}
-            LinkState::Suspect => {
-                let late = self.silent_at(self.config.suspect_after_percent);
-                if late.is_some_and(|due| due <= now) {
-                    return;
-                }
-                self.damped &= !self.is_trusted();
-                // Twice as many for each time: traffic must not come and go with every lost hello.
-                if self.calm >= 1 << self.suspicions.saturating_sub(1) && !self.damped {
-                    self.change(LinkState::Up, "the neighbour is heard again");
-                } else if !std::mem::replace(&mut self.proving, true) {
-                    self.change(LinkState::Suspect, "heard again, and not yet trusted");
-                }
-            }
-            LinkState::Connecting | LinkState::Down => {
-                if now - self.down_at > Self::FLAP_MEMORY {
-                    self.flaps = 0;
-                }
-                if !self.has_proved() || record.stance != HelloState::Ready {
-                    return;
-                }
-                self.damped &= !self.is_trusted();
-                if self.damped {
-                    self.proving = true;
-                    self.change(LinkState::Suspect, "heard again, and not yet trusted");
-                } else {
-                    self.change(LinkState::Up, "the neighbour is heard and hears");
-                }
-            }
+    fn expire(&mut self, now: Instant) {
+        if now - self.last_at > MEMORY {
+            self.count = 0;
         }
     }
+}
 
-    /// Whether enough hellos were received in both directions.
-    pub(super) fn has_proved(&self) -> bool {
-        self.neighbour
-            .as_ref()
-            .is_some_and(|record| record.hellos_received >= self.config.up_after_hellos)
+impl FlapDamping {
+    /// The link goes down.
+    pub(super) fn handle_down(&mut self, now: Instant) {
+        self.flaps.add(FLAPS_MAX, now);
+        self.damped = true;
     }
 
-    /// Whether that is so for as long as its recent failures demand.
-    fn is_trusted(&self) -> bool {
-        let needed = self.config.up_after_hellos << self.flaps;
-        self.neighbour.as_ref().is_some_and(|record| record.hellos_received >= needed)
+    /// A hello is late.
+    pub(super) fn handle_suspicion(&mut self, now: Instant) {
+        self.suspicions.add(FLAPS_MAX + 1, now);
+        (self.calm, self.proving) = (0, false);
     }
 
-    pub(super) fn stance(&self) -> HelloState {
-        match self.state {
-            LinkState::Up | LinkState::Suspect => HelloState::Ready,
-            LinkState::Connecting | LinkState::Down if self.has_proved() => HelloState::Ready,
-            LinkState::Connecting => HelloState::Unproved,
-            LinkState::Down => HelloState::Down,
-        }
+    pub(super) fn handle_hello(&mut self, missed: u32) {
+        self.calm = super::after(self.calm, missed);
+    }
+
+    /// Forgets how often the link went down, once that was long ago.
+    pub(super) fn expire_flaps(&mut self, now: Instant) {
+        self.flaps.expire(now);
+    }
+
+    /// The link went down because an incarnation ended, which is no flap of the medium.
+    pub(super) fn forget_flaps(&mut self) {
+        self.flaps.count = 0;
+    }
+
+    /// So many hellos were received in both directions, of which `usual` bring a new link up.
+    /// Returns whether the link is still damped.
+    pub(super) fn judge(&mut self, hellos_received: u32, usual: u32) -> bool {
+        self.damped &= hellos_received < usual << self.flaps.count;
+        self.damped
+    }
+
+    /// Whether enough hellos came since the last suspicion: twice as many for each time, so that
+    /// traffic does not come and go with every lost hello.
+    pub(super) fn is_calm(&self) -> bool {
+        self.calm >= 1 << self.suspicions.count.saturating_sub(1)
     }
 }

@@ -1,7 +1,7 @@
 //! The links over one transport, as one machine.
 
 use super::hello_slowdown::HelloSlowdown;
-use super::path_mtu::PathMtu;
+use super::path_mtu::{FrameSize, PathMtu};
 use super::{Link, LinkOutput};
 use crate::machine_set::MachineSet;
 use crate::net::wire::link_id::LinkId;
@@ -13,10 +13,8 @@ use std::time::Duration;
 pub struct LinkSet {
     machines: MachineSet<LinkId, Link>,
     bytes_per_second: Option<u64>,
-    /// The largest frame; 0 while that is not known.
-    mtu: usize,
-    /// What links begin with, where paths may drop it.
-    path: Option<PathMtu>,
+    /// What links begin with.
+    frame_size: FrameSize,
     stalled: Option<Duration>,
     /// What a seal adds to each frame, in bytes.
     overhead: usize,
@@ -49,7 +47,7 @@ impl LinkSet {
 
     /// Adds a link, or replaces it.
     pub fn insert(&mut self, number: LinkId, mut link: Link) {
-        link.handle_mtu(self.mtu, self.path.clone());
+        link.frame_size = self.frame_size.clone();
         self.machines.insert(number, link);
         self.pace();
     }
@@ -60,7 +58,7 @@ impl LinkSet {
         self.pace();
     }
 
-    /// A link.
+    /// Returns a link; `None` for an unknown number.
     pub fn get(&self, number: LinkId) -> Option<&Link> {
         self.machines.get(number)
     }
@@ -87,8 +85,9 @@ impl LinkSet {
     /// waits for it is not late by an interval.
     pub fn handle_mtu(&mut self, mtu: usize, is_probed: bool) {
         let path = is_probed.then(|| PathMtu::new(mtu, self.overhead));
-        (self.mtu, self.path) = (mtu, path.clone());
-        self.each(|link| link.handle_mtu(mtu, path.clone()));
+        let frame_size = FrameSize { medium: mtu, path };
+        self.each(|link| link.frame_size = frame_size.clone());
+        self.frame_size = frame_size;
         self.pace();
     }
 
@@ -115,7 +114,7 @@ impl LinkSet {
         // As many pairs of nodes share the medium, if all have as many links as this one.
         let (share, overhead) = (2 * rate / (links * (links + 1)).max(1), self.overhead as u64);
         // The rate is that of both directions together.
-        let bytes = 2 * (self.mtu as u64 + overhead + 2 * Link::FRAMING);
+        let bytes = 2 * (self.frame_size.medium as u64 + overhead + 2 * Link::FRAMING);
         let whole = Duration::from_nanos(bytes.saturating_mul(1_000_000_000) / rate.max(1));
         let least = many.max(whole);
         self.each(|link| {

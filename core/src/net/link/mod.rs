@@ -22,7 +22,9 @@
 mod acquaintance;
 mod arrival;
 mod flap_damping;
+mod hello_schedule;
 mod hello_slowdown;
+mod neighbour_record;
 mod path_mtu;
 mod quality;
 mod reassembly;
@@ -37,9 +39,13 @@ pub use self::types::{
     PEER_TIMEOUT, PeerRefusal,
 };
 
-use self::acquaintance::Contradiction;
-use self::path_mtu::PathMtu;
-use self::quality::{QualityEstimator, QualityLimits};
+use self::acquaintance::Acquaintance;
+use self::arrival::HelloArrival;
+use self::flap_damping::FlapDamping;
+use self::hello_schedule::HelloSchedule;
+use self::neighbour_record::NeighbourRecord;
+use self::path_mtu::{FrameSize, PathMtu};
+use self::quality::QualityLimits;
 use self::reassembly::RoutingReassembly;
 
 use super::wire::frame::{Echo, Frame, Hello, NameHolder};
@@ -47,7 +53,6 @@ use super::wire::hello_state::HelloState;
 use super::wire::{Refusals, WireError};
 use crate::timer::Timers;
 use crate::{GatherBuffer, Incarnation, Instant, Machine};
-use arrival::{ArrivalEstimator, HelloArrival};
 use bytes::Bytes;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -56,73 +61,20 @@ use std::time::Duration;
 #[derive(Debug)]
 pub struct Link {
     config: LinkConfig,
-    /// As configured, or as long as the medium and its other links need.
-    hello_interval: Duration,
     state: LinkState,
     neighbour: Option<NeighbourRecord>,
-    /// The incarnation in which the neighbour is, as its key has proved; `None` where frames are
-    /// not sealed.
-    authenticated: Option<Incarnation>,
-    /// The last hello that contradicts that.
-    contradiction: Option<Contradiction>,
-    next_hello: Instant,
+    acquaintance: Acquaintance,
+    hellos: HelloSchedule,
     /// How late this node was run when a timer fired last.
     late: Duration,
     /// By when a neighbour should have proved to be there; `None` once its absence was reported.
     expected_by: Option<Instant>,
-    /// The latest hellos sent, for the round trip: number and time.
-    sent: VecDeque<(u32, Instant)>,
-    /// How often it went down lately, and when last.
-    flaps: u32,
-    down_at: Instant,
-    /// How often it was suspect lately, when last, and how many hellos were received since.
-    suspicions: u32,
-    suspected_at: Instant,
-    calm: u32,
-    /// It is suspect although hellos are received again.
-    proving: bool,
-    /// It has failed since it was trusted last. It carries only what has no other path until it has
-    /// proved itself as often as it has failed lately.
-    damped: bool,
-    /// The medium's largest frame; 0 while it is not known.
-    mtu: usize,
-    /// What passes of that, where the path may drop large frames.
-    path: Option<PathMtu>,
+    damping: FlapDamping,
+    frame_size: FrameSize,
     parts: RoutingReassembly,
-    gauge: QualityEstimator,
-    /// The last refusal, and the last that was reported: a single one may be an accident.
-    doubted: Option<PeerRefusal>,
-    refused: Option<PeerRefusal>,
     refusals: Refusals,
     frames_dropped: u64,
     outputs: VecDeque<LinkOutput>,
-}
-
-/// What is known of the neighbour.
-#[derive(Debug)]
-struct NeighbourRecord {
-    neighbour: Neighbour,
-    arrivals: ArrivalEstimator,
-    /// When its last hello was received.
-    received_at: Instant,
-    /// When anything else was: hellos may wait behind it on a full path.
-    heard_at: Instant,
-    /// Hellos since the last silence, while it receives ours, less two for each that was missing.
-    hellos_received: u32,
-    /// The state of the link at its end.
-    stance: HelloState,
-    /// The loss in its direction, as it reports.
-    loss_there: u16,
-    /// The latest of our hellos that it has echoed, and when that echo was received.
-    echoed: Option<(u32, Instant)>,
-    /// When the latest one that it has ever echoed was sent.
-    answered: Instant,
-    /// Silence before this does not count: this node was not run.
-    excused_until: Instant,
-    /// How often that was extended since its last hello.
-    excuses: u32,
-    /// How long this node was not run before. What it reads then may have been sent as long ago.
-    stalled: Duration,
 }
 
 impl Link {
@@ -131,45 +83,23 @@ impl Link {
     /// A timer that is so late means that received frames may be unread. Timers alone are up to 1
     /// ms late.
     const LATE: Duration = Duration::from_millis(2);
-    /// Four times in a row are no accident.
-    const EXCUSES_MAX: u32 = 4;
-    /// Remembered hellos: enough for round trips of so many intervals.
-    const SENT_MAX: usize = 64;
     /// A neighbour is missing only when this many more hello intervals have passed than were set.
     const ABSENT_HELLOS: u32 = 5;
-    /// A link that stayed up for so long has proved itself; earlier flaps are forgotten.
-    const FLAP_MEMORY: Duration = Duration::from_secs(10);
-    /// 16 times the usual proof at most, so that a repaired link comes back within seconds.
-    const FLAPS_MAX: u32 = 4;
-
     /// A link that sends its first hello at once.
     pub fn new(config: LinkConfig, now: Instant) -> Self {
         Link {
-            expected_by: Some(now + config.peer_timeout),
-            hello_interval: config.hello_interval.max(*HELLO_INTERVAL_RANGE.start()),
-            config,
             state: LinkState::Connecting,
             neighbour: None,
-            authenticated: None,
-            contradiction: None,
-            next_hello: now,
+            acquaintance: Acquaintance::default(),
+            hellos: HelloSchedule::new(config.hello_interval, now),
             late: Duration::ZERO,
-            sent: VecDeque::with_capacity(Self::SENT_MAX),
-            flaps: 0,
-            down_at: Instant::ORIGIN,
-            suspicions: 0,
-            suspected_at: Instant::ORIGIN,
-            calm: 0,
-            proving: false,
-            damped: false,
-            mtu: 0,
-            path: None,
+            expected_by: Some(now + config.peer_timeout),
+            damping: FlapDamping::default(),
+            frame_size: FrameSize::default(),
             parts: RoutingReassembly::default(),
-            gauge: QualityEstimator::default(),
-            doubted: None,
-            refused: None,
             refusals: Refusals::default(),
             frames_dropped: 0,
+            config,
             outputs: VecDeque::new(),
         }
     }
@@ -186,23 +116,23 @@ impl Link {
 
     /// The node that is at the other end instead of the neighbour, once that was reported.
     pub fn refusal(&self) -> Option<&PeerRefusal> {
-        self.refused.as_ref()
+        self.acquaintance.refused.as_ref()
     }
 
     /// How good it is.
     pub fn quality(&self) -> Quality {
-        self.gauge.quality()
+        self.neighbour.as_ref().map(|record| record.quality.quality()).unwrap_or_default()
     }
 
     /// The largest frame that it carries at present, in bytes; 0 while the medium is not known.
     pub fn frame_limit(&self) -> usize {
-        self.path.as_ref().map_or(self.mtu, PathMtu::limit)
+        self.frame_size.limit()
     }
 
-    /// The largest frame that passes, and the medium's largest one, in bytes, once probes have shown
-    /// that the path drops the latter.
+    /// The largest frame that passes, and the medium's largest one, in bytes, once probes have
+    /// shown that the path drops the latter.
     pub fn shortfall(&self) -> Option<(usize, usize)> {
-        self.path.as_ref().and_then(PathMtu::shortfall)
+        self.frame_size.shortfall()
     }
 
     /// What was refused so far.
@@ -241,7 +171,7 @@ impl Link {
 
     /// How long the echo of a hello takes on a link that is up: twice the detection time.
     pub(super) fn answer_within(&self) -> Duration {
-        percent(self.hello_interval, 2 * (100 + self.down_after_percent()))
+        percent(self.hello_interval(), 2 * (100 + self.down_after_percent()))
     }
 
     fn carry(&mut self, frame: Frame) {
@@ -266,15 +196,10 @@ impl Link {
             // incarnation.
             Frame::Taken { refused, .. } => {
                 *refused == self.config.incarnation
-                    && (self.carries() || self.authenticated.is_some())
+                    && (self.carries() || self.acquaintance.authenticated.is_some())
             }
             Frame::Probe(_) | Frame::ProbeAnswer(_) => self.neighbour.is_some(),
         }
-    }
-
-    /// Whether a hello is not late at present.
-    fn is_monitored(&self) -> bool {
-        self.state == LinkState::Up || self.is_proving()
     }
 
     fn carries(&self) -> bool {
@@ -314,13 +239,8 @@ impl Link {
         }
     }
 
-    /// The medium's largest frame has so many bytes; a path that may drop it has `path`.
-    fn handle_mtu(&mut self, mtu: usize, path: Option<PathMtu>) {
-        (self.mtu, self.path) = (mtu, path);
-    }
-
     fn with_path<T>(&mut self, input: impl FnOnce(&mut PathMtu) -> T) -> Option<T> {
-        let path = self.path.as_mut()?;
+        let path = self.frame_size.path.as_mut()?;
         let before = (path.limit(), path.shortfall());
         let result = input(path);
         if before != (path.limit(), path.shortfall()) {
@@ -352,7 +272,7 @@ impl Link {
     /// earlier one used goes down at once. Hellos of any other incarnation are refused from here
     /// on.
     pub fn handle_authenticated(&mut self, incarnation: Incarnation, now: Instant) {
-        self.authenticated = Some(incarnation);
+        self.acquaintance.authenticated = Some(incarnation);
         let other = self.neighbour().is_some_and(|known| known.incarnation != incarnation);
         if other && self.carries() {
             self.go_down("the neighbour has restarted", now);
@@ -382,11 +302,8 @@ impl Link {
     fn set_interval(&mut self, at_least: Duration) {
         let interval = self.config.hello_interval.max(at_least);
         let interval = interval.clamp(*HELLO_INTERVAL_RANGE.start(), *HELLO_INTERVAL_RANGE.end());
-        if std::mem::replace(&mut self.hello_interval, interval) != interval {
-            // Hellos are numbered by their interval: echoes of the old numbers say nothing any
-            // more.
-            self.sent.clear();
-            self.contradiction = None;
+        if self.hellos.set_interval(interval) {
+            self.acquaintance.contradiction = None;
             if let Some(record) = &mut self.neighbour {
                 record.echoed = None;
             }
@@ -395,29 +312,12 @@ impl Link {
 
     /// How often hellos are sent.
     pub fn hello_interval(&self) -> Duration {
-        self.hello_interval
-    }
-
-    /// How surprising the neighbour's silence is by now, as φ: 1 is one in ten, 8 one in 10⁸, were
-    /// delays normally distributed. It is for display, and decides nothing.
-    pub fn phi(&self, now: Instant) -> f32 {
-        self.neighbour.as_ref().map_or(0.0, |record| record.arrivals.phi(now))
+        self.hellos.interval
     }
 
     /// When the neighbour's last hello was received, if it is known.
     pub fn last_hello(&self) -> Option<Instant> {
         self.neighbour.as_ref().map(|record| record.received_at)
-    }
-
-    /// Silence counts only from a while after `now`. The number of excuses in a row is bounded, so
-    /// that a node which stalls again and again still detects a dead link.
-    fn excuse(&mut self, a_while: Duration, now: Instant) {
-        if let Some(record) = &mut self.neighbour
-            && record.excuses < Self::EXCUSES_MAX
-        {
-            record.excuses += 1;
-            record.excused_until = record.excused_until.max(now + a_while);
-        }
     }
 
     fn handle_hello(&mut self, hello: Hello, now: Instant) {
@@ -430,13 +330,13 @@ impl Link {
             self.refuse(refusal);
             return;
         }
-        if self.authenticated.is_some_and(|proved| proved != hello.incarnation) {
+        if self.acquaintance.authenticated.is_some_and(|proved| proved != hello.incarnation) {
             self.refusals.unexpected += 1;
             return;
         }
-        (self.doubted, self.refused) = (None, None);
+        self.acquaintance.forget_refusals();
         let HelloArrival::New { missed } = self.meet(&hello, interval, now) else { return };
-        self.calm = after(self.calm, missed);
+        self.damping.handle_hello(missed);
         self.listen(&hello, missed, now);
         self.judge_quality(now);
         if self.carries() && hello.stance == HelloState::Down {
@@ -448,21 +348,20 @@ impl Link {
     fn listen(&mut self, hello: &Hello, missed: u32, now: Instant) {
         let Some(record) = &mut self.neighbour else { return };
         record.received_at = now;
-        record.excuses = 0;
-        record.stance = hello.stance;
+        record.stall.count = 0;
+        record.state_there = hello.stance;
         record.loss_there = hello.loss_permille;
         if let Some(echo) = hello.echo.filter(|echo| echo.incarnation == self.config.incarnation) {
             let newest = record
                 .echoed
                 .is_none_or(|(sequence, _)| echo.sequence.wrapping_sub(sequence).cast_signed() > 0);
-            let sent = self.sent.iter().find(|(sequence, _)| *sequence == echo.sequence);
-            if let (true, Some((_, sent))) = (newest, sent) {
+            if let Some(sent) = self.hellos.sent_at(echo.sequence).filter(|_| newest) {
                 record.echoed = Some((echo.sequence, now));
-                record.answered = *sent;
+                record.answered = sent;
                 let held = Duration::from_micros(echo.held_us.into());
                 // The echo has waited here for as long as this node was not run.
                 let waited = held + self.late;
-                self.gauge.handle_round_trip((now - *sent).saturating_sub(waited));
+                record.quality.handle_round_trip((now - sent).saturating_sub(waited));
             }
         }
         record.hellos_received = match record.echoed {
@@ -473,30 +372,22 @@ impl Link {
     }
 
     fn judge_quality(&mut self, now: Instant) {
-        let Some(record) = &self.neighbour else { return };
+        let Some(record) = &mut self.neighbour else { return };
         let Some(loss) = record.arrivals.loss_permille() else { return };
         let limits = QualityLimits {
             loss_permille: self.config.degraded_loss_permille,
             // On a slow medium a round trip takes two frames and two hellos, when it is full.
-            round_trip: self.config.degraded_round_trip.max(self.hello_interval),
+            round_trip: self.config.degraded_round_trip.max(self.hellos.interval),
         };
-        if self.gauge.judge(loss.max(record.loss_there), limits, now) {
-            self.outputs.push_back(LinkOutput::Quality(self.gauge.quality()));
+        if record.quality.judge(loss.max(record.loss_there), limits, now) {
+            self.outputs.push_back(LinkOutput::Quality(record.quality.quality()));
         }
     }
 
-    /// When silence, or deafness of the neighbour, will have lasted so long past the expected
-    /// hello. What comes meanwhile shows that the neighbour lives; that it receives us, only its
-    /// hellos show.
+    /// When the neighbour will have been silent, or deaf, for so long past the expected hello.
     fn silent_at(&self, after_percent: u32) -> Option<Instant> {
         let record = self.neighbour.as_ref()?;
-        let interval = record.arrivals.interval();
-        let alive_at = record.arrivals.expected().max(record.heard_at);
-        let silent = alive_at + percent(interval, after_percent);
-        let deaf = record.echoed.map_or(record.received_at, |(_, at)| at)
-            // An echo needs both directions: twice the patience, in the slower one's intervals.
-            + percent(interval.max(self.hello_interval), 2 * (100 + after_percent));
-        Some(silent.min(deaf).max(record.excused_until))
+        Some(record.silent_at(after_percent, self.hellos.interval))
     }
 
     fn down_after_percent(&self) -> u32 {
@@ -504,12 +395,7 @@ impl Link {
     }
 
     fn go_down(&mut self, reason: &'static str, now: Instant) {
-        if now - self.down_at > Self::FLAP_MEMORY {
-            self.flaps = 0;
-        }
-        self.flaps = (self.flaps + 1).min(Self::FLAPS_MAX);
-        self.down_at = now;
-        self.damped = true;
+        self.damping.handle_down(now);
         if let Some(record) = &mut self.neighbour {
             record.forget_proof();
         }
@@ -523,49 +409,33 @@ impl Link {
             record.arrivals.forget_loss();
         }
         self.state = state;
-        self.proving &= state == LinkState::Suspect;
+        self.damping.proving &= state == LinkState::Suspect;
         let neighbour = self.neighbour().cloned();
         self.outputs.push_back(LinkOutput::Changed { state, neighbour, reason });
     }
 
     fn say_hello(&mut self, now: Instant) {
-        // Hellos are numbered and sent by an absolute schedule, so that a late one does not shift
-        // the later ones. Numbers are counted from the clock's origin, so that they also rise when
-        // this machine is rebuilt in a running process.
-        let nanos = self.hello_interval.as_nanos() as u64;
-        let number = now.as_nanos() / nanos;
-        self.next_hello = Instant::from_nanos((number + 1).saturating_mul(nanos));
-        let hello = self.hello(now, number as u32);
-        if self.sent.len() == Self::SENT_MAX {
-            self.sent.pop_front();
-        }
-        self.sent.push_back((hello.sequence, now));
+        let sequence = self.hellos.advance(now);
+        let hello = self.hello(now, sequence);
+        self.hellos.handle_sent(sequence, now);
         self.outputs.push_back(LinkOutput::Transmit(Frame::Hello(hello).parcel()));
         self.probe_path(now);
     }
 
-    /// How many hellos between the last one and this one were not sent.
-    fn skipped(&self, sequence: u32) -> u8 {
-        let last = self.sent.back().map_or(sequence, |(last, _)| *last);
-        let skipped = sequence.wrapping_sub(last).saturating_sub(1);
-        skipped.min(Hello::SKIPPED_MAX.into()) as u8
-    }
-
     fn hello(&self, now: Instant, sequence: u32) -> Hello {
-        let echo = self.neighbour.as_ref().map(NeighbourRecord::last_received);
-        let echo = echo.map(|(incarnation, sequence, at)| Echo {
-            incarnation,
-            sequence,
-            held_us: u32::try_from((now - at).as_micros()).unwrap_or(u32::MAX),
+        let echo = self.neighbour.as_ref().map(|record| Echo {
+            incarnation: record.neighbour.incarnation,
+            sequence: record.arrivals.highest(),
+            held_us: u32::try_from((now - record.received_at).as_micros()).unwrap_or(u32::MAX),
         });
         let lost = self.neighbour.as_ref().and_then(|record| record.arrivals.loss_permille());
         Hello {
             node: self.config.node.clone(),
             incarnation: self.config.incarnation,
             sequence,
-            interval_us: u32::try_from(self.hello_interval.as_micros()).unwrap_or(u32::MAX),
-            skipped: self.skipped(sequence),
-            stance: self.stance(),
+            interval_us: u32::try_from(self.hellos.interval.as_micros()).unwrap_or(u32::MAX),
+            skipped: self.hellos.skipped(sequence),
+            stance: self.hello_state(),
             loss_permille: lost.unwrap_or(0),
             echo,
         }
@@ -574,39 +444,73 @@ impl Link {
     fn report_absence(&mut self) {
         self.expected_by = None;
         // The refused node at the other end was reported, which says more.
-        if self.refused.is_none() {
+        if self.acquaintance.refused.is_none() {
             let hello_received = self.neighbour.is_some();
             self.outputs.push_back(LinkOutput::Missing { hello_received });
         }
     }
 
-    fn detect_down(&mut self, now: Instant) {
-        if self.carries() {
-            self.go_down("the neighbour is not heard, or does not hear", now);
-        } else if let Some(record) = &mut self.neighbour {
-            record.forget_proof();
+    fn suspect(&mut self, now: Instant) {
+        self.damping.handle_suspicion(now);
+        self.change(LinkState::Suspect, "a hello is late");
+    }
+    /// Whether the hellos of a suspect link are received again, and it is not trusted yet because
+    /// of how often they were late.
+    pub fn is_proving(&self) -> bool {
+        self.damping.proving
+    }
+
+    /// Whether it has failed so often lately that it carries only what has no other path.
+    pub fn is_distrusted(&self) -> bool {
+        self.state == LinkState::Suspect && self.damping.damped
+    }
+
+    /// Raises the state after a hello, if it has proved enough.
+    fn rise(&mut self, now: Instant) {
+        let Some(record) = &self.neighbour else { return };
+        let (received, usual) = (record.hellos_received, self.config.up_after_hellos);
+        match self.state {
+            LinkState::Up => {}
+            LinkState::Suspect => {
+                let late = self.silent_at(self.config.suspect_after_percent);
+                if late.is_some_and(|due| due <= now) {
+                    return;
+                }
+                if !self.damping.judge(received, usual) && self.damping.is_calm() {
+                    self.change(LinkState::Up, "the neighbour is heard again");
+                } else if !std::mem::replace(&mut self.damping.proving, true) {
+                    self.change(LinkState::Suspect, "heard again, and not yet trusted");
+                }
+            }
+            LinkState::Connecting | LinkState::Down => {
+                self.damping.expire_flaps(now);
+                if received < usual || record.state_there != HelloState::Ready {
+                    return;
+                }
+                if self.damping.judge(received, usual) {
+                    self.damping.proving = true;
+                    self.change(LinkState::Suspect, "heard again, and not yet trusted");
+                } else {
+                    self.change(LinkState::Up, "the neighbour is heard and hears");
+                }
+            }
         }
     }
 
-    fn suspect(&mut self, now: Instant) {
-        self.proving = false;
-        let lately = now - self.suspected_at <= Self::FLAP_MEMORY;
-        let before = if lately { self.suspicions } else { 0 };
-        self.suspicions = (before + 1).min(Self::FLAPS_MAX + 1);
-        (self.suspected_at, self.calm) = (now, 0);
-        self.change(LinkState::Suspect, "a hello is late");
-    }
-}
-
-impl NeighbourRecord {
-    /// In which incarnation, which hello, and when.
-    fn last_received(&self) -> (Incarnation, u32, Instant) {
-        (self.neighbour.incarnation, self.arrivals.highest(), self.received_at)
+    /// Whether enough hellos were received in both directions.
+    fn has_proved(&self) -> bool {
+        let enough =
+            |record: &NeighbourRecord| record.hellos_received >= self.config.up_after_hellos;
+        self.neighbour.as_ref().is_some_and(enough)
     }
 
-    fn forget_proof(&mut self) {
-        self.hellos_received = 0;
-        self.echoed = None;
+    fn hello_state(&self) -> HelloState {
+        match self.state {
+            LinkState::Up | LinkState::Suspect => HelloState::Ready,
+            LinkState::Connecting | LinkState::Down if self.has_proved() => HelloState::Ready,
+            LinkState::Connecting => HelloState::Unproved,
+            LinkState::Down => HelloState::Down,
+        }
     }
 }
 
@@ -627,14 +531,15 @@ impl Machine for Link {
         // still unread. After a long stall every silence up to now is void.
         let late = now - due;
         self.late = late;
-        if late > self.hello_interval {
-            let interval = self.neighbour.as_ref().map(|record| record.arrivals.interval());
-            self.excuse(percent(interval.unwrap_or_default(), self.down_after_percent()), now);
-            if let Some(record) = &mut self.neighbour {
-                record.stalled = late;
+        let down_after = self.down_after_percent();
+        if let Some(record) = &mut self.neighbour {
+            if late > self.hellos.interval {
+                let interval = record.arrivals.interval();
+                record.stall.extend(percent(interval, down_after), now);
+                record.stall.stalled = late;
+            } else if late > Self::LATE {
+                record.stall.extend(late, now);
             }
-        } else if late > Self::LATE {
-            self.excuse(late, now);
         }
         self.fire_due(now);
     }

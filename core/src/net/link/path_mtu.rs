@@ -34,6 +34,25 @@ const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 /// When a larger size is tried again (RFC 8899, PMTU_RAISE_TIMER).
 const RAISE_INTERVAL: Duration = Duration::from_secs(600);
 
+/// The largest frame of a link.
+#[derive(Clone, Debug, Default)]
+pub(super) struct FrameSize {
+    /// The medium's; 0 while it is not known.
+    pub(super) medium: usize,
+    /// What passes of that, where the path may drop large frames.
+    pub(super) path: Option<PathMtu>,
+}
+
+impl FrameSize {
+    pub(super) fn limit(&self) -> usize {
+        self.path.as_ref().map_or(self.medium, PathMtu::limit)
+    }
+
+    pub(super) fn shortfall(&self) -> Option<(usize, usize)> {
+        self.path.as_ref().and_then(PathMtu::shortfall)
+    }
+}
+
 /// The search for the largest frame that a path carries. All sizes are those of frames without
 /// their seal.
 #[derive(Clone, Debug)]
@@ -87,8 +106,8 @@ impl PathMtu {
         (self.found < self.configured).then_some((self.found, self.configured))
     }
 
-    /// The neighbour has answered a hello that was sent at `heard`. Returns the size of the probe to
-    /// send now. A size is refused after `tries` probes.
+    /// The neighbour has answered a hello that was sent at `heard`. Returns the size of the probe
+    /// to send now. A size is refused after `tries` probes.
     pub(super) fn poll_probe(&mut self, heard: Instant, tries: u32, now: Instant) -> Option<u16> {
         if let Some((size, sent)) = self.probe {
             if heard <= sent {

@@ -345,15 +345,6 @@ fn hellos_take_a_twentieth_of_a_slow_medium_and_the_neighbour_keeps_up() {
 }
 
 #[test]
-fn phi_rises_with_the_silence_and_is_nothing_before_anybody_spoke() {
-    let link = Link::new(config("left", 1), at(0));
-    assert_eq!(link.phi(at(1000)), 0.0);
-
-    let cable = running();
-    assert!(cable.ends[0].phi(at(100)) < 1.0 && cable.ends[0].phi(at(120)) > 8.0);
-}
-
-#[test]
 fn a_node_that_is_run_late_loses_no_hellos_and_adds_nothing_to_its_round_trips() {
     let mut cable = running();
     for step in 0..4_000 {

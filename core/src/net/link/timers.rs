@@ -16,8 +16,8 @@ pub(crate) enum LinkTimer {
     /// the expected hello and its last frame; one that is not up loses its proof (BFD: detection
     /// time).
     DownDetection,
-    /// Suspects a monitored link, `suspect_after_percent` past the expected hello and the last frame
-    /// (NFD-E: freshness point).
+    /// Suspects a monitored link, `suspect_after_percent` past the expected hello and the last
+    /// frame (NFD-E: freshness point).
     SuspectDetection,
 }
 
@@ -31,11 +31,11 @@ impl Timers for Link {
 
     fn due(&self, timer: LinkTimer) -> Option<Instant> {
         match timer {
-            LinkTimer::HelloTransmit => Some(self.next_hello),
+            LinkTimer::HelloTransmit => Some(self.hellos.due),
             LinkTimer::PeerMissing => {
                 let by = self.expected_by.filter(|_| self.state == LinkState::Connecting)?;
                 // A slow medium needs its time.
-                Some(by + self.hello_interval.saturating_mul(Self::ABSENT_HELLOS))
+                Some(by + self.hellos.interval.saturating_mul(Self::ABSENT_HELLOS))
             }
             LinkTimer::DownDetection => {
                 let has_proof = |record: &NeighbourRecord| record.echoed.is_some();
@@ -43,7 +43,7 @@ impl Timers for Link {
                 self.silent_at(self.down_after_percent()).filter(|_| runs)
             }
             LinkTimer::SuspectDetection => {
-                let monitored = self.is_monitored();
+                let monitored = self.state == LinkState::Up || self.is_proving();
                 self.silent_at(self.config.suspect_after_percent).filter(|_| monitored)
             }
         }
@@ -53,7 +53,9 @@ impl Timers for Link {
         match timer {
             LinkTimer::HelloTransmit => self.say_hello(now),
             LinkTimer::PeerMissing => self.report_absence(),
-            LinkTimer::DownDetection => self.detect_down(now),
+            LinkTimer::DownDetection => {
+                self.handle_no_carrier("the neighbour is not heard, or does not hear", now);
+            }
             LinkTimer::SuspectDetection => self.suspect(now),
         }
     }

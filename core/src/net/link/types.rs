@@ -99,9 +99,9 @@ impl fmt::Display for LinkState {
 /// The node at the other end of a link.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Neighbour {
-    /// Its name.
+    /// The name of the node at the other end.
     pub node: NodeName,
-    /// Its incarnation.
+    /// The incarnation of the node at the other end.
     pub incarnation: Incarnation,
 }
 
@@ -111,15 +111,15 @@ pub enum PeerRefusal {
     /// Two nodes have one name. Give one of them another.
     #[error("another node is also called {node}")]
     NameTaken {
-        /// The name.
+        /// The name that both nodes have.
         node: NodeName,
     },
     /// Two names give one number. Give one of the nodes another name.
     #[error("the names {node} and {other} give the same node number {}", NodeId::of(.node))]
     NumberTaken {
-        /// Our name.
+        /// The name of this node.
         node: NodeName,
-        /// The other's.
+        /// The name of the node at the other end.
         other: NodeName,
     },
     /// The cable is plugged in elsewhere, or the configured address is another node's.
@@ -139,7 +139,7 @@ pub enum LinkOutput {
     Transmit(GatherBuffer),
     /// The link is now in another state.
     Changed {
-        /// Which.
+        /// The state from now on.
         state: LinkState,
         /// The node that is, or was, at the other end.
         neighbour: Option<Neighbour>,

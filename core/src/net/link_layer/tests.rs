@@ -403,7 +403,7 @@ fn on_a_slow_medium_sealed_hellos_take_a_tenth_of_what_it_carries() {
 /// A third computer, at `COPY`, with the key of one of both is there for a while. Returns what it
 /// is told.
 fn with_a_copy(world: &mut World, of: usize, copy: &mut End, millis: u64) -> Vec<NameHolder> {
-    let (peer, mut told) = (1 - of, Vec::new());
+    let (peer, mut holders) = (1 - of, Vec::new());
     for _ in 0..millis {
         let before = world.sent.len();
         world.run(1);
@@ -421,12 +421,12 @@ fn with_a_copy(world: &mut World, of: usize, copy: &mut End, millis: u64) -> Vec
                 LinkLayerOutput::Transmit { frame, .. } => {
                     world.ends[peer].handle_frame(COPY, frame.into_bytes(), now);
                 }
-                LinkLayerOutput::Of(_, LinkOutput::Taken(holder)) => told.push(holder),
+                LinkLayerOutput::Of(_, LinkOutput::Taken(holder)) => holders.push(holder),
                 _ => {}
             }
         }
     }
-    told
+    holders
 }
 
 /// Where the third computer is.
@@ -438,9 +438,9 @@ fn a_second_node_with_a_key_is_told_where_the_first_is_once_that_has_answered() 
     for (of, incarnation) in [(0, 2), (1, 2)] {
         let mut world = World::up();
 
-        let told = with_a_copy(&mut world, of, &mut end(of, incarnation, 500), 3_000);
+        let holders = with_a_copy(&mut world, of, &mut end(of, incarnation, 500), 3_000);
 
-        assert_eq!(told[0], NameHolder::new(Incarnation(1), of));
+        assert_eq!(holders[0], NameHolder::new(Incarnation(1), of));
         let in_use = world.outputs.iter().any(|(_, node, output)| {
             let (open, refused) = (Incarnation(1), Incarnation(incarnation));
             let expected = LinkLayerOutput::KeyInUse {
@@ -468,10 +468,10 @@ fn a_node_whose_place_another_has_taken_while_it_was_stopped_is_the_one_that_is_
         assert_eq!(world.states(), [LinkState::Up; 2]);
         world.outputs.clear();
 
-        let told = with_a_copy(&mut world, of, &mut first, 3_000);
+        let holders = with_a_copy(&mut world, of, &mut first, 3_000);
 
         // It is at the end of the connection, and not where the link leads.
-        assert_eq!(told[0], NameHolder::new(Incarnation(2), 12));
+        assert_eq!(holders[0], NameHolder::new(Incarnation(2), 12));
         assert_eq!(world.states(), [LinkState::Up; 2]);
         assert_eq!(world.changes(1 - of), []);
     }
@@ -483,18 +483,18 @@ fn a_node_that_is_received_and_does_not_receive_keeps_no_name_from_the_one_that_
         let mut world = World::up();
         let mut copy = end(of, 2, world.now);
         world.stopped = Some(of);
-        let told = with_a_copy(&mut world, of, &mut copy, 1_000);
-        assert_eq!(told, []);
+        let holders = with_a_copy(&mut world, of, &mut copy, 1_000);
+        assert_eq!(holders, []);
         let open = world.ends[1 - of].channel(LINK).expect("the copy has proved itself");
         assert_eq!(open.incarnation, Incarnation(2));
 
         world.stopped = None;
-        let told = with_a_copy(&mut world, of, &mut copy, 3_000);
+        let holders = with_a_copy(&mut world, of, &mut copy, 3_000);
 
         assert_eq!(world.states(), [LinkState::Up; 2]);
         let known = world.ends[1 - of].get(LINK).unwrap().neighbour().unwrap();
         assert_eq!(known.incarnation, Incarnation(1));
-        assert_eq!(told[0], NameHolder::new(Incarnation(1), of));
+        assert_eq!(holders[0], NameHolder::new(Incarnation(1), of));
     }
 }
 
@@ -505,9 +505,9 @@ fn a_node_that_was_restarted_at_once_is_not_told_of_the_one_before_it() {
         // It has ended, and its last frames are on their way.
         world.ends[of] = LinkLayer::new(None);
 
-        let told = with_a_copy(&mut world, of, &mut end(of, 2, 500), 3_000);
+        let holders = with_a_copy(&mut world, of, &mut end(of, 2, 500), 3_000);
 
-        assert_eq!(told, []);
+        assert_eq!(holders, []);
         let link = world.ends[1 - of].get(LINK).unwrap();
         assert_eq!(link.neighbour().unwrap().incarnation, Incarnation(2));
     }

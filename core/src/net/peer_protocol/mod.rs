@@ -43,8 +43,8 @@ const BINDINGS_MAX: usize = 16 * 1024;
 
 /// The most requests to one peer that wait for its next session.
 const AGAIN_MAX: usize = 1024;
-/// The most unanswered requests of one peer whose replies have a stream of their own; beyond, they go with
-/// what others send.
+/// The most unanswered requests of one peer whose replies have a stream of their own; beyond, they
+/// go with what others send.
 const CALLS_MAX: usize = 64 * 1024;
 /// For the caller to see its deadline pass by itself.
 const GRACE: Duration = Duration::from_secs(1);
@@ -89,38 +89,6 @@ struct PeerRecord {
 }
 
 impl PeerProtocol {
-    /// An exchange in the place of one that failed. No number of the old one's is used again; what
-    /// waited in it is lost for this reason, and what comes back of its sessions is known. Callers
-    /// have been told.
-    pub fn restarted(&self, why: &DeliveryError) -> Self {
-        let mut next = PeerProtocol {
-            next_subscription: self.next_subscription,
-            next_binding: self.next_binding,
-            next_call: self.next_call,
-            epochs: self.epochs,
-            requests: self.requests.clone(),
-            access: self.access.clone(),
-            is_started: self.is_started,
-            refusals: self.refusals,
-            ..PeerProtocol::default()
-        };
-        for (peer, state) in &self.peers {
-            let past = state.session.as_ref().map_or(&state.past, |session| &session.numbers);
-            next.peers.insert(*peer, PeerRecord { past: past.clone(), ..PeerRecord::default() });
-            let bindings = state.session.iter().flat_map(|session| &session.bindings);
-            for ((object, contract, _), binding) in bindings {
-                let tells =
-                    binding.waiting.iter().flatten().filter(|tells| tells.pending.is_none());
-                for _ in tells {
-                    let (peer, why) = (*peer, why.clone());
-                    let to = MessageTarget::Object(object.clone(), contract);
-                    next.outputs.push_back(PeerProtocolOutput::Lost { peer, to, why });
-                }
-            }
-        }
-        next
-    }
-
     /// The next thing to do, in order.
     pub fn poll_output(&mut self) -> Option<PeerProtocolOutput> {
         self.outputs.pop_front()
@@ -154,6 +122,12 @@ impl PeerProtocol {
     /// Whether a path to this node is known.
     pub fn is_reachable(&self, peer: NodeId) -> bool {
         self.peers.get(&peer).is_some_and(|peer| peer.reachable)
+    }
+
+    /// Whether the request with this number is sent again in the next session.
+    pub fn is_to_repeat(&self, reply_as: u64) -> bool {
+        let mut again = self.peers.values().flat_map(|peer| &peer.again);
+        again.any(|call| call.reply_as == Some(reply_as))
     }
 
     /// A session with this peer has begun.
@@ -217,7 +191,7 @@ impl PeerProtocol {
         let pending = reply_as.map(|reply_as| PendingCall { reply_as, until, again });
         let waiting = QueuedMessage { id, sent, payload, pending, credit };
         if let Some(binding @ Binding { waiting: None, .. }) = session.bindings.get(&key) {
-            let bound = binding.way();
+            let bound = binding.route();
             let sent = session.send(peer, bound, waiting, &mut self.next_call);
             return self.outputs.push_back(sent);
         }
@@ -272,7 +246,7 @@ impl PeerProtocol {
     }
 
     fn tell(&mut self, peer: NodeId, message: &PeerMessage) {
-        if self.is_open(peer) {
+        if self.peers.get(&peer).is_some_and(|peer| peer.session.is_some()) {
             self.outputs.push_back(control(peer, message));
         }
     }
@@ -381,8 +355,8 @@ impl PeerProtocol {
         if let Some(session) = self.peers.get(&peer).and_then(|peer| peer.session.as_ref()) {
             let timestamp_us = session.timestamp_us(sent);
             let message = PeerMessage::Event { subscription, timestamp_us, payload };
-            let way = (subscription << 1, stream, OrderingKey::Subscription(subscription));
-            self.outputs.push_back(carry(peer, way, &message, credit));
+            let route = (subscription << 1, stream, OrderingKey::Subscription(subscription));
+            self.outputs.push_back(carry(peer, route, &message, credit));
         }
     }
 
@@ -393,33 +367,20 @@ impl PeerProtocol {
         subscription: u32,
         why: DeliveryError,
     ) {
-        if self.is_open(peer) {
-            let message = PeerMessage::SubscribeRefused { subscription, why };
-            self.outputs.push_back(control(peer, &message));
-        }
+        self.tell(peer, &PeerMessage::SubscribeRefused { subscription, why });
     }
 
     /// This node ends in order.
     pub fn handle_leave(&mut self) {
-        self.tell_all(&PeerMessage::Leaving);
+        for (peer, _) in self.peers.iter().filter(|(_, state)| state.session.is_some()) {
+            self.outputs.push_back(control(*peer, &PeerMessage::Leaving));
+        }
     }
 
     /// Something waits for a peer to agree to a contract.
     pub fn is_waiting(&self) -> bool {
         let sessions = self.peers.values().filter_map(|peer| peer.session.as_ref());
         sessions.flat_map(|session| session.bindings.values()).any(|b| b.waiting.is_some())
-    }
-
-    fn tell_all(&mut self, message: &PeerMessage) {
-        for (peer, state) in &self.peers {
-            if state.session.is_some() {
-                self.outputs.push_back(control(*peer, message));
-            }
-        }
-    }
-
-    fn is_open(&self, peer: NodeId) -> bool {
-        self.peers.get(&peer).is_some_and(|peer| peer.session.is_some())
     }
 
     fn session(&mut self, peer: NodeId, epoch: SessionEpoch) -> Option<&mut PeerSession> {
@@ -458,9 +419,10 @@ impl PeerProtocol {
                 let to = MessageTarget::Subscription(subscription);
                 self.outputs.push_back(PeerProtocolOutput::Lost { peer, to, why });
             }
-            // It was made, and the session does not take it: the caller that waits for it is told so.
+            // It was made, and the session does not take it: the caller that waits for it is told
+            // so.
             PeerMessage::Reply { call, result } => {
-                let told = match (why, result) {
+                let error = match (why, result) {
                     (DeliveryError::TooLargeForSession { limit }, _) => {
                         DeliveryError::ReplyTooLarge { limit }
                     }
@@ -468,10 +430,10 @@ impl PeerProtocol {
                         let reason = "too many replies wait on the way to the caller".to_owned();
                         DeliveryError::OutcomeUnknown { reason }
                     }
-                    (DeliveryError::WayFull { .. }, Err(told)) => told,
+                    (DeliveryError::WayFull { .. }, Err(error)) => error,
                     _ => return,
                 };
-                self.tell(peer, &PeerMessage::Reply { call, result: Err(told) });
+                self.tell(peer, &PeerMessage::Reply { call, result: Err(error) });
             }
             // What belongs to the session itself ends with it.
             _ => {}

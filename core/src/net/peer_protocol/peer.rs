@@ -24,10 +24,7 @@ pub(super) struct PeerSession {
     pub(super) epoch: SessionEpoch,
     /// With which incarnation of the peer.
     pub(super) incarnation: Incarnation,
-    /// Our timestamps count from here.
-    pub(super) began: Instant,
-    /// Known from the peer's first timestamp on.
-    pub(super) ages: Option<AgeEstimator>,
+    clock: SessionClock,
     pub(super) bindings: SortedMap<BindingKey, Binding>,
     pub(super) numbers: BindingTable,
     /// Our requests that are not answered, by their number on the wire.
@@ -47,6 +44,15 @@ pub(super) struct PeerSession {
     pub(super) full: SortedMap<ObjectName, SortedSet<u32>>,
 }
 
+/// The timestamps of both ends.
+#[derive(Debug)]
+struct SessionClock {
+    /// Our timestamps count from here.
+    began: Instant,
+    /// Known from the peer's first timestamp on.
+    ages: Option<AgeEstimator>,
+}
+
 /// Its number, its stream unless only the newest counts, and with what it stays in order.
 pub(super) type BindingRoute = (u32, Option<TrafficClass>, OrderingKey);
 
@@ -61,7 +67,7 @@ pub(super) struct Binding {
 }
 
 impl Binding {
-    pub(super) fn way(&self) -> BindingRoute {
+    pub(super) fn route(&self) -> BindingRoute {
         (self.number, self.stream(), self.strand)
     }
 
@@ -95,8 +101,7 @@ impl PeerSession {
         PeerSession {
             epoch,
             incarnation,
-            began,
-            ages: None,
+            clock: SessionClock { began, ages: None },
             bindings: SortedMap::new(),
             numbers: SortedMap::new(),
             calls: SortedMap::new(),
@@ -148,13 +153,12 @@ impl PeerSession {
     }
 
     pub(super) fn timestamp_us(&self, sent: Instant) -> u64 {
-        u64::try_from((sent - self.began).as_micros()).unwrap_or(u64::MAX)
+        u64::try_from((sent - self.clock.began).as_micros()).unwrap_or(u64::MAX)
     }
 
     pub(super) fn age(&mut self, timestamp_us: u64, now: Instant) -> Duration {
-        self.ages
-            .get_or_insert_with(|| AgeEstimator::new(timestamp_us, now))
-            .handle(timestamp_us, now)
+        let ages = self.clock.ages.get_or_insert_with(|| AgeEstimator::new(timestamp_us, now));
+        ages.handle(timestamp_us, now)
     }
 
     pub(super) fn send(
@@ -190,8 +194,8 @@ impl PeerSession {
     ) -> Option<Vec<PeerProtocolOutput>> {
         let key = self.numbers.get(&number)?;
         let binding = self.bindings.get_mut(key)?;
-        let (waiting, way) = (binding.waiting.take()?, binding.way());
-        Some(waiting.into_iter().map(|waiting| self.send(peer, way, waiting, next_call)).collect())
+        let (waiting, route) = (binding.waiting.take()?, binding.route());
+        Some(waiting.into_iter().map(|one| self.send(peer, route, one, next_call)).collect())
     }
 }
 

@@ -1,4 +1,4 @@
-//! Two exchanges that hear each other.
+//! Two peer protocols, each the peer of the other.
 
 use super::*;
 use crate::CreditPool;
@@ -54,7 +54,7 @@ fn at(millis: u64) -> Instant {
     Instant::from_millis(millis)
 }
 
-/// Two exchanges; what one sends, the other gets.
+/// Two peer protocols; what one sends, the other receives.
 struct Pair {
     ends: [PeerProtocol; 2],
     ids: [NodeId; 2],
@@ -344,7 +344,9 @@ fn a_peer_that_starts_is_announced_when_its_start_is_over_and_in_every_later_ses
     assert_eq!(pair.announced, [Some(0), Some(0)]);
 
     pair.announced = [None; 2];
-    pair.ends[1] = pair.ends[1].restarted(&DeliveryError::Restarting);
+    pair.ends[1].handle_ended(pair.ids[0], &DeliveryError::Restarting);
+    pair.run();
+    pair.take(1);
     open(&mut pair);
     assert_eq!(pair.announced, [Some(0), Some(0)]);
 }
@@ -534,54 +536,14 @@ fn a_reply_that_finds_no_capacity_is_told_as_lost_and_an_error_goes_as_it_is() {
         pair.run();
 
         let outputs = pair.take(0);
-        let [PeerProtocolOutput::Resolve { reply_as: 10, result: Err(told) }] = &outputs[..] else {
+        let [PeerProtocolOutput::Resolve { reply_as: 10, result: Err(why) }] = &outputs[..] else {
             panic!("{outputs:?}");
         };
         match reply {
-            Ok(_) => assert!(matches!(told, DeliveryError::OutcomeUnknown { .. }), "{told}"),
-            Err(error) => assert_eq!(*told, error),
+            Ok(_) => assert!(matches!(why, DeliveryError::OutcomeUnknown { .. }), "{why}"),
+            Err(error) => assert_eq!(*why, error),
         }
     }
-}
-
-#[test]
-fn what_waited_in_a_machine_that_failed_is_told_as_lost_and_what_comes_back_of_it_is_known() {
-    let mut pair = Pair::open();
-    pair.call(count(), None);
-    pair.agree();
-    let sent = pair.take(1);
-    assert_eq!(sent.len(), 1, "it is bound");
-    let call = |contract: ContractIdentity| Call {
-        node: node("right"),
-        object: arm(),
-        contract,
-        id: None,
-        sent: at(0),
-        until: None,
-        payload: payload().into(),
-        reply_as: None,
-        credit: None,
-    };
-    pair.ends[0].handle_call(call(count()));
-    let Some(PeerProtocolOutput::Send { peer, message, .. }) = pair.ends[0].poll_output() else {
-        panic!("it is sent");
-    };
-    let other = ContractIdentity { name: "other", ..count() };
-    pair.ends[0].handle_call(call(other));
-    while pair.ends[0].poll_output().is_some() {}
-
-    let why = DeliveryError::OutcomeUnknown { reason: "it failed".into() };
-    let mut restarted = pair.ends[0].restarted(&why);
-    let lost = |contract, why| {
-        let to = MessageTarget::Object(arm(), contract);
-        Some(PeerProtocolOutput::Lost { peer, to, why })
-    };
-    assert_eq!(restarted.poll_output(), lost("other", why));
-    assert_eq!(restarted.poll_output(), None);
-
-    let died = DeliveryError::PeerDied { incarnation: Incarnation(1) };
-    restarted.handle_returned(peer, message.into_bytes(), died.clone(), TransmitState::Perhaps);
-    assert_eq!(restarted.poll_output(), lost("count", died));
 }
 
 mod access;

@@ -13,7 +13,7 @@ use std::time::Duration;
 /// Which topic, and the contract of its events.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct TopicContract {
-    /// The topic.
+    /// The name of the topic.
     pub topic: String,
     /// The contract's name.
     pub contract: String,
@@ -26,11 +26,11 @@ pub struct SessionEpoch(pub u64);
 /// What an object wants sent to one of another node.
 #[derive(Debug)]
 pub struct Call {
-    /// To which node.
+    /// The node of the receiver.
     pub node: NodeName,
-    /// To which object there.
+    /// The object that receives it there.
     pub object: ObjectName,
-    /// By which contract.
+    /// The contract of the message.
     pub contract: ContractIdentity,
     /// By which identity a repeated message is known.
     pub id: Option<MessageId>,
@@ -38,7 +38,7 @@ pub struct Call {
     pub sent: Instant,
     /// When the answer is no use any more.
     pub until: Option<Instant>,
-    /// The message.
+    /// The encoded message.
     pub payload: GatherBuffer,
     /// The number by which the caller knows the request; `None` if it wants no reply.
     pub reply_as: Option<u64>,
@@ -83,53 +83,53 @@ pub enum MessageTarget {
     Forgotten,
 }
 
-/// What an exchange wants done.
+/// What a peer protocol wants done.
 #[derive(Debug, PartialEq, Eq)]
 pub enum PeerProtocolOutput {
     /// Give this to the session with the peer.
     Send {
-        /// Whom.
+        /// The node that it is for.
         peer: NodeId,
-        /// In which stream.
+        /// The ordered stream that carries it.
         stream: TrafficClass,
         /// With what it stays in order there.
         strand: OrderingKey,
-        /// What.
+        /// The encoded message.
         message: GatherBuffer,
         /// The credit that it holds until the peer's session has acknowledged it.
         credit: Option<Credit>,
     },
     /// Give this to the session with the peer, to be sent once: of the channel the newest counts.
     SendNewest {
-        /// Whom.
+        /// The node that it is for.
         peer: NodeId,
-        /// On which channel.
+        /// The channel on which the newest message counts.
         channel: u32,
-        /// What.
+        /// The encoded message.
         message: GatherBuffer,
         /// The credit that it holds until the session has it.
         credit: Option<Credit>,
     },
     /// Does this object take this contract? Answer with
-    /// [`Exchange::handle_bound`](super::PeerProtocol::handle_bound).
+    /// [`PeerProtocol::handle_bound`](super::PeerProtocol::handle_bound).
     Bind {
-        /// Who asks.
+        /// The node that asks.
         peer: NodeId,
-        /// In which session.
+        /// The session in which it asks.
         epoch: SessionEpoch,
-        /// Under which number.
+        /// The number of the binding, chosen by the peer.
         binding: u32,
-        /// Which object.
+        /// The object that is asked for.
         object: ObjectName,
         /// The contract as the peer knows it.
         identity: Box<PeerIdentity>,
     },
     /// Give this message to the object that is bound; answer a request with
-    /// [`Exchange::handle_answer`](super::PeerProtocol::handle_answer).
+    /// [`PeerProtocol::handle_answer`](super::PeerProtocol::handle_answer).
     Serve {
-        /// From whom.
+        /// The node that sent it.
         peer: NodeId,
-        /// In which session.
+        /// The session in which it was sent.
         epoch: SessionEpoch,
         /// Through which binding.
         binding: u32,
@@ -141,54 +141,54 @@ pub enum PeerProtocolOutput {
         age: Duration,
         /// A request is not to be begun after this.
         until: Option<Instant>,
-        /// The message.
+        /// The encoded message.
         payload: Bytes,
     },
     /// A request of ours is resolved.
     Resolve {
         /// The caller's number for it.
         reply_as: u64,
-        /// With what.
+        /// The encoded reply, or why there is none.
         result: Result<Bytes, DeliveryError>,
     },
     /// A message that wanted no reply did not arrive, or perhaps not.
     Lost {
-        /// For which node.
+        /// The node that it was for.
         peer: NodeId,
-        /// For whom there.
+        /// The receiver at that node.
         to: MessageTarget,
-        /// Why.
+        /// Why it was not delivered.
         why: DeliveryError,
     },
     /// The peer's object has no room: senders should stop, for this object.
     ObjectFull {
-        /// Where.
+        /// The node of the object.
         peer: NodeId,
-        /// Which.
+        /// The object that has no room.
         object: ObjectName,
     },
     /// It has room again.
     ObjectReady {
-        /// Where.
+        /// The node of the object.
         peer: NodeId,
-        /// Which.
+        /// The object that has room again.
         object: ObjectName,
     },
     /// Our contract differs from the peer's.
     Differs {
-        /// Whose.
+        /// The node of the peer.
         peer: NodeId,
-        /// Which contract, and what differs.
+        /// The contract, and what differs.
         difference: String,
     },
     /// Send what is published here to this peer, unless the contract differs; then tell with
-    /// [`Exchange::handle_subscribe_refused`](super::PeerProtocol::handle_subscribe_refused).
+    /// [`PeerProtocol::handle_subscribe_refused`](super::PeerProtocol::handle_subscribe_refused).
     Subscribe {
-        /// Who wants it.
+        /// The node that listens.
         peer: NodeId,
-        /// Under which number.
+        /// The number of the subscription, chosen by the peer.
         subscription: u32,
-        /// Which topic.
+        /// The topic that the peer listens to.
         topic: TopicContract,
         /// The contract as the peer knows it, and then the earlier versions that it understands.
         /// What is sent by the n-th of them goes under the number and n.
@@ -196,55 +196,55 @@ pub enum PeerProtocolOutput {
     },
     /// A peer was refused what it may not do, and told so where it waits for an answer.
     AccessDenied {
-        /// Who, and what.
+        /// The peer, and the right that it lacks.
         denied: Box<AccessDenied>,
     },
     /// A peer refuses a subscription of this node, by its policy.
     SubscriptionForbidden {
-        /// Who refuses it.
+        /// The node that refuses it.
         peer: NodeId,
-        /// What it says.
+        /// The reason that it gives.
         why: DeliveryError,
     },
     /// The peer refuses no subscription of this node any more.
     SubscriptionsAllowed {
-        /// Who refused one.
+        /// The node that has refused one.
         peer: NodeId,
     },
     /// Send no more of this.
     Unsubscribe {
         /// Who does not want it any more.
         peer: NodeId,
-        /// Which.
+        /// The number of the subscription, chosen by the peer.
         subscription: u32,
     },
     /// An event arrived for those who listen here.
     Event {
-        /// From whom.
+        /// The node that published it.
         peer: NodeId,
-        /// Which topic.
+        /// The topic of the event.
         topic: TopicContract,
         /// By which of our versions of the contract it is read: 0 is the present one.
         form: usize,
         /// How long it has been on its way.
         age: Duration,
-        /// The event.
+        /// The encoded event.
         payload: Bytes,
     },
     /// A peer has told all that it listens to, and its objects answer.
     Announced {
-        /// Who.
+        /// The node that has told it.
         peer: NodeId,
     },
     /// The peer ends in order.
     Bye {
-        /// Who.
+        /// The node that ends.
         peer: NodeId,
     },
     /// The session is over: drop what the peer had here, its bindings and subscriptions, and what
     /// it has said of its objects' room.
     Forget {
-        /// Whose.
+        /// The node at the session's other end.
         peer: NodeId,
         /// Why it is over.
         why: DeliveryError,

@@ -25,7 +25,7 @@ use crate::net::trust::roster::NodeRoster;
 use crate::net::wire::advertisement::{Advertisement, SIGNATURE_LENGTH};
 use crate::net::wire::link_id::LinkId;
 use crate::net::wire::node_id::NodeId;
-use crate::net::wire::packet::{HOPS_MAX, Packet, PacketPriority, Payload};
+use crate::net::wire::packet::{PacketPriority, Payload};
 use crate::sorted::SortedMap;
 use crate::{GatherBuffer, Instant, Machine};
 use bytes::Bytes;
@@ -153,15 +153,15 @@ impl Router {
     pub fn handle_roster(&mut self, roster: &NodeRoster, now: Instant) {
         self.now = now;
         let Some(keys) = &mut self.keys else { return };
-        let before = std::mem::replace(&mut keys.listed, listed(roster, self.id));
+        let before = std::mem::replace(&mut keys.listed, listed(roster, self.database.id()));
         for (node, had) in before {
             if keys.listed.get(&node) == Some(&had) {
                 continue;
             }
             keys.sealer.remove_peer(node);
-            self.known.remove(&node);
+            self.database.known.remove(&node);
         }
-        for node in self.routes.keys().copied() {
+        for node in self.table.routes.keys().copied() {
             if keys.know(node) && keys.sealer.channel(node).is_none() {
                 keys.sealer.connect(node, node, now);
             }
@@ -172,7 +172,7 @@ impl Router {
 
     /// Signs this node's own advertisement.
     pub(super) fn sign(&mut self) {
-        self.own.signature = self.keys.as_ref().map(|keys| keys.sign(&self.own));
+        self.database.own.signature = self.keys.as_ref().map(|keys| keys.sign(&self.database.own));
     }
 
     /// Whether an advertisement is its origin's; without keys nothing says that it is not.
@@ -187,7 +187,7 @@ impl Router {
             return SignatureCheck::Refused;
         }
         let Some(keys) = &self.keys else { return SignatureCheck::ByOrigin };
-        let Some((signature, key)) = keys.signed(self.id, advertisement) else {
+        let Some((signature, key)) = keys.signed(self.database.id(), advertisement) else {
             self.refusals.unexpected += 1;
             return SignatureCheck::Refused;
         };
@@ -215,7 +215,7 @@ impl Router {
 
     /// Asks a node for keys to which there is a route now.
     pub(super) fn ask_for_keys(&mut self, node: NodeId) {
-        let (now, route) = (self.now, self.routes.get(&node));
+        let (now, route) = (self.now, self.table.routes.get(&node));
         let (Some(keys), Some(route)) = (&mut self.keys, route) else { return };
         let agreed = keys.sealer.channel(node).map(|channel| channel.incarnation);
         if agreed != Some(route.incarnation) && keys.know(node) {
@@ -267,7 +267,7 @@ impl Router {
             let opened = keys.sealer.handle_frame(segment, &source, now);
             self.collect_seals();
             let Ok(Some(OpenedFrame { peer, plain, .. })) = opened else { return };
-            if self.isolated.contains(&peer) {
+            if self.isolation.nodes.contains(&peer) {
                 self.refusals.isolated += 1;
                 return;
             }
@@ -298,10 +298,15 @@ impl Router {
     pub(super) fn collect_seals(&mut self) {
         while let Some(output) = self.keys.as_mut().and_then(|keys| keys.sealer.poll_output()) {
             match output {
-                SealerOutput::Transmit { to, frame } => self.send_handshake(to, frame),
+                SealerOutput::Transmit { to, frame } => {
+                    if let Some(link) = self.choose(to, &[]) {
+                        let payload = Payload::Segment(frame.into());
+                        self.originate(link, to, PacketPriority::Control, payload);
+                    }
+                }
                 // What was sent before had no seal, and was not sent.
                 SealerOutput::PeerOpen { peer, renewed: false, .. } => {
-                    if let Some(route) = self.routes.get(&peer)
+                    if let Some(route) = self.table.routes.get(&peer)
                         && !route.chosen.is_some_and(|link| self.leads_to(link, peer))
                     {
                         let mtu = route.segment_limit();
@@ -317,12 +322,5 @@ impl Router {
         if let Some(due) = self.keys.as_ref().and_then(RouterKeys::due) {
             self.wake_at = self.wake_at.min(due);
         }
-    }
-
-    fn send_handshake(&mut self, destination: NodeId, frame: Bytes) {
-        let Some(link) = self.choose(destination, &[]) else { return };
-        let (hops, source, passed) = (self.config.hops.min(HOPS_MAX), self.id, Vec::new());
-        let (class, payload) = (PacketPriority::Control, Payload::Segment(frame.into()));
-        self.pass(link, &Packet { class, hops, destination, source, passed, payload });
     }
 }

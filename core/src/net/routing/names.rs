@@ -24,7 +24,7 @@ use crate::net::wire::link_id::LinkId;
 use crate::net::wire::node_id::NodeId;
 use crate::net::{QUIET, REPORT_INTERVAL};
 use crate::sorted::SortedMap;
-use crate::{Incarnation, Instant};
+use crate::{Incarnation, Instant, NodeName};
 use std::time::Duration;
 
 /// How far an answer is ahead: beyond all that the incarnation has said before, and elsewhere.
@@ -50,6 +50,18 @@ pub(super) struct UnusedLink {
     reported_at: Option<Instant>,
 }
 
+/// Which names and numbers two nodes contend for.
+#[derive(Debug, Default)]
+pub(super) struct NameContest {
+    /// Links to another node of a name, which are not used.
+    pub(super) unused: SortedMap<LinkId, UnusedLink>,
+    /// Which other incarnation advertises links in this node's name, how often it was outdone, and
+    /// when last.
+    outdone: Option<(Incarnation, u8, Instant)>,
+    /// The last reported pair, and when, so that a collision is not reported with every flood.
+    reported: Option<(NodeName, NodeName, Instant)>,
+}
+
 /// The incarnation that has a name.
 #[derive(Clone, Copy)]
 struct ReachedHolder {
@@ -58,6 +70,47 @@ struct ReachedHolder {
     over: Option<LinkId>,
     /// How long its answer may take.
     patience: Duration,
+}
+
+impl NameContest {
+    /// Whether it is to be reported that two nodes have one number.
+    pub(super) fn is_new_conflict(
+        &mut self,
+        node: &NodeName,
+        refused: &NodeName,
+        now: Instant,
+    ) -> bool {
+        let known = self
+            .reported
+            .as_ref()
+            .is_some_and(|(a, b, at)| (a, b) == (node, refused) && now < *at + REPORT_INTERVAL);
+        if !known {
+            self.reported = Some((node.clone(), refused.clone(), now));
+        }
+        !known
+    }
+
+    /// Notes that another incarnation is outdone now. Returns how often that was so; `None` while
+    /// the last time is too short ago.
+    fn count_outdone(&mut self, other: Incarnation, now: Instant) -> Option<u8> {
+        let times = match self.outdone {
+            Some((known, times, at)) if known == other && now < at + QUIET => {
+                if times >= OUTDONE_TIMES && now < at + TELL_INTERVAL {
+                    // It is said again in a moment, since it is not confirmed.
+                    return None;
+                }
+                times.saturating_add(1)
+            }
+            _ => 1,
+        };
+        self.outdone = Some((other, times, now));
+        Some(times)
+    }
+
+    /// When the next challenge is decided.
+    pub(super) fn decide_at(&self) -> Option<Instant> {
+        self.unused.values().filter_map(|unused| unused.decide_at).min()
+    }
 }
 
 impl UnusedLink {
@@ -75,11 +128,11 @@ impl Router {
     fn name_holder(&self, link: LinkId, neighbour: &Neighbour) -> Option<ReachedHolder> {
         if let Some((over, near)) = self.links_to_others(link, neighbour).next() {
             let (incarnation, over) = (near.neighbour.incarnation, Some(over));
-            let patience = near.patience(ANSWER_WITHIN);
+            let patience = patience(near.mtu, ANSWER_WITHIN);
             return Some(ReachedHolder { incarnation, over, patience });
         }
         let id = NodeId::of(&neighbour.node);
-        let incarnation = self.known.get(&id)?.advertisement.incarnation;
+        let incarnation = self.database.newest(id)?.incarnation;
         if incarnation == neighbour.incarnation {
             return None;
         }
@@ -116,7 +169,7 @@ impl Router {
     /// Does not use a link.
     pub(super) fn set_aside(&mut self, link: LinkId, status: LinkStatus) {
         self.links.remove(&link);
-        match self.unused.get_mut(&link) {
+        match self.names.unused.get_mut(&link) {
             Some(unused) if unused.status.neighbour == status.neighbour => unused.status = status,
             _ => {
                 let holder = self.name_holder(link, &status.neighbour);
@@ -125,7 +178,7 @@ impl Router {
                 let (told_at, reported_at) = (Instant::ORIGIN, None);
                 let unused =
                     UnusedLink { status, challenged: None, decide_at, told_at, reported_at };
-                self.unused.insert(link, unused);
+                self.names.unused.insert(link, unused);
                 self.challenge(link);
                 self.announce_links();
             }
@@ -135,10 +188,10 @@ impl Router {
     /// Challenges the incarnation that has the name of a link's neighbour, once it is known what it
     /// has said. Returns whether that is another one than was challenged before.
     fn challenge(&mut self, link: LinkId) -> bool {
-        let Some(unused) = self.unused.get(&link) else { return false };
+        let Some(unused) = self.names.unused.get(&link) else { return false };
         let neighbour = &unused.status.neighbour;
         let holder = self.name_holder(link, neighbour);
-        let known = self.known.get(&NodeId::of(&neighbour.node)).map(|known| &known.advertisement);
+        let known = self.database.newest(NodeId::of(&neighbour.node));
         let Some((holder, known)) = holder.zip(known) else { return false };
         let incarnation = holder.incarnation;
         let same = unused.challenged.is_some_and(|(of, _)| of == incarnation);
@@ -147,7 +200,7 @@ impl Router {
         }
         let answer = known.id.sequence.saturating_add(AHEAD);
         let decide_at = self.now + holder.patience;
-        let Some(unused) = self.unused.get_mut(&link) else { return false };
+        let Some(unused) = self.names.unused.get_mut(&link) else { return false };
         unused.challenged = Some((incarnation, answer));
         unused.decide_at = Some(decide_at);
         self.wake_at = self.wake_at.min(decide_at);
@@ -156,9 +209,8 @@ impl Router {
 
     /// Whether the incarnation that has a name has answered the challenge.
     fn has_answered(&self, unused: &UnusedLink, holder: Incarnation) -> bool {
-        let known = self.known.get(&NodeId::of(&unused.status.neighbour.node));
-        unused.challenged.zip(known).is_some_and(|((of, answer), known)| {
-            let newest = &known.advertisement;
+        let known = self.database.newest(NodeId::of(&unused.status.neighbour.node));
+        unused.challenged.zip(known).is_some_and(|((of, answer), newest)| {
             of == holder && newest.incarnation == holder && newest.id.sequence >= answer
         })
     }
@@ -166,20 +218,16 @@ impl Router {
     /// A node that advertises a challenge waits for an answer.
     pub(super) fn answer_challenge(&mut self, advertisement: &Advertisement) {
         let mut edges = advertisement.edges.iter();
-        if edges.any(|edge| edge.to == self.own.id.origin && edge.mtu == Edge::CHALLENGE) {
-            self.own.id.sequence = self.own.id.sequence.saturating_add(AHEAD);
+        if edges.any(|edge| edge.to == self.database.id() && edge.mtu == Edge::CHALLENGE) {
+            self.database.own.id.sequence = self.database.own.id.sequence.saturating_add(AHEAD);
             self.renew();
         }
-    }
-
-    pub(super) fn challenge_due(&self) -> Option<Instant> {
-        self.unused.values().filter_map(|unused| unused.decide_at).min()
     }
 
     /// The time of a challenge is over.
     pub(super) fn decide_challenges(&mut self) {
         let mut late = Vec::new();
-        for (link, unused) in self.unused.iter_mut() {
+        for (link, unused) in self.names.unused.iter_mut() {
             if unused.decide_at.take_if(|at| *at <= self.now).is_some() {
                 late.push(*link);
             }
@@ -189,7 +237,7 @@ impl Router {
 
     /// Routes have changed: which links can be used again, and what is to be challenged?
     pub(super) fn use_links_again(&mut self) {
-        let links: Vec<_> = self.unused.keys().copied().collect();
+        let links: Vec<_> = self.names.unused.keys().copied().collect();
         for link in links {
             if self.challenge(link) {
                 self.renew();
@@ -199,7 +247,7 @@ impl Router {
     }
 
     fn use_again(&mut self, link: LinkId) {
-        let Some(unused) = self.unused.get(&link) else { return };
+        let Some(unused) = self.names.unused.get(&link) else { return };
         let status = unused.status.clone();
         if !self.is_kept_out(link, &status.neighbour) {
             self.handle_link(link, status, self.now);
@@ -209,7 +257,8 @@ impl Router {
     /// Whether a link with this neighbour is not used, for its name's sake.
     pub(super) fn is_kept_out(&self, link: LinkId, neighbour: &Neighbour) -> bool {
         let Some(holder) = self.name_holder(link, neighbour) else { return false };
-        let unused = self.unused.get(&link).filter(|unused| unused.status.neighbour == *neighbour);
+        let unused =
+            self.names.unused.get(&link).filter(|unused| unused.status.neighbour == *neighbour);
         unused.is_none_or(|unused| {
             unused.decide_at.is_some() || self.has_answered(unused, holder.incarnation)
         })
@@ -220,7 +269,7 @@ impl Router {
     pub(super) fn handle_kept_out(&mut self, link: LinkId) {
         let now = self.now;
         let due = |unused: &&UnusedLink| unused.told_at + TELL_INTERVAL <= now;
-        let Some(unused) = self.unused.get(&link).filter(due) else { return };
+        let Some(unused) = self.names.unused.get(&link).filter(due) else { return };
         let Neighbour { node, incarnation } = unused.status.neighbour.clone();
         let holder = self.name_holder(link, &unused.status.neighbour);
         let answered = |holder: &ReachedHolder| self.has_answered(unused, holder.incarnation);
@@ -228,7 +277,7 @@ impl Router {
             return;
         };
         self.outputs.push_back(RouterOutput::Refuse { link, by, over });
-        let Some(unused) = self.unused.get_mut(&link) else { return };
+        let Some(unused) = self.names.unused.get_mut(&link) else { return };
         unused.told_at = now;
         if unused.reported_at.is_none_or(|at| now >= at + REPORT_INTERVAL) {
             unused.reported_at = Some(now);
@@ -240,31 +289,21 @@ impl Router {
     /// before this one, of an earlier incarnation, or of another node.
     pub(super) fn outdo(&mut self, theirs: &Advertisement) {
         let sequence = theirs.id.sequence;
-        if theirs.incarnation == self.incarnation() {
+        if theirs.incarnation == self.database.own.incarnation {
             // This router continues the count of the one before it.
-            self.own.id.sequence = sequence;
+            self.database.own.id.sequence = sequence;
             return self.renew();
         }
-        let times = match self.outdone {
-            Some((other, times, at)) if other == theirs.incarnation && self.now < at + QUIET => {
-                if times >= OUTDONE_TIMES && self.now < at + TELL_INTERVAL {
-                    // It is said again in a moment, since it is not confirmed.
-                    return;
-                }
-                times.saturating_add(1)
-            }
-            _ => 1,
-        };
-        self.outdone = Some((theirs.incarnation, times, self.now));
-        if times > OUTDONE_TIMES && self.incarnation() > theirs.incarnation {
+        let Some(times) = self.names.count_outdone(theirs.incarnation, self.now) else { return };
+        if times > OUTDONE_TIMES && self.database.own.incarnation > theirs.incarnation {
             return self.outputs.push_back(RouterOutput::NameTaken { by: theirs.incarnation });
         }
-        self.own.id.sequence = sequence.saturating_add(AHEAD);
+        self.database.own.id.sequence = sequence.saturating_add(AHEAD);
         self.renew();
     }
 }
 
-fn status_of(adjacent: &Adjacency) -> LinkStatus {
+pub(super) fn status_of(adjacent: &Adjacency) -> LinkStatus {
     let Adjacency { neighbour, cost, mtu, health, .. } = adjacent;
     let (neighbour, mtu) = (neighbour.clone(), usize::from(*mtu));
     LinkStatus { neighbour, health: *health, cost: *cost, mtu }

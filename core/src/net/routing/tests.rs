@@ -470,7 +470,8 @@ fn of_two_announcements_with_one_number_everybody_takes_the_same() {
         outputs(&mut router, 1030);
         tell(&mut router, SECOND, advertisement("far", 2, &second), 1040);
         outputs(&mut router, 1050);
-        let known = router.advertisement(id("far")).unwrap().edges.iter().map(|edge| edge.cost);
+        let known =
+            router.database.advertisement(id("far")).unwrap().edges.iter().map(|edge| edge.cost);
         assert_eq!(known.max(), Some(9));
     }
 }

@@ -50,16 +50,16 @@ impl Timers for Router {
     };
 
     fn due(&self, timer: RouterTimer) -> Option<Instant> {
-        let (links, known) = (self.links.values(), self.known.values());
+        let links = self.links.values();
         match timer {
             RouterTimer::RefreshOwn => Some(self.refresh_due()),
-            RouterTimer::AdvertisementExpiry => known.map(|known| known.expires).min(),
+            RouterTimer::AdvertisementExpiry => self.database.expires_at(),
             RouterTimer::Retransmit => {
                 links.flat_map(|link| link.pending.values()).map(|(due, _)| *due).min()
             }
             RouterTimer::CompareDatabase => links.map(|link| link.compare_at).min(),
-            RouterTimer::ComputeRoutes => self.compute_at,
-            RouterTimer::Challenge => self.challenge_due(),
+            RouterTimer::ComputeRoutes => self.table.compute_at,
+            RouterTimer::Challenge => self.names.decide_at(),
             RouterTimer::RestartGrace => self.remembered.as_ref().map(|(until, _)| *until),
             RouterTimer::Handshake => self.keys.as_ref().and_then(RouterKeys::due),
         }

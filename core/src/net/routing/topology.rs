@@ -18,7 +18,7 @@ use std::time::Duration;
 /// The way to one node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Route {
-    /// Whereto.
+    /// The destination of the route.
     pub node: NodeName,
     /// In which incarnation.
     pub incarnation: Incarnation,
@@ -39,6 +39,34 @@ pub struct Route {
     pub overhead: u8,
 }
 
+/// The routes to all nodes, and when they are computed again.
+#[derive(Debug, Default)]
+pub(crate) struct RouteTable {
+    pub(crate) routes: SortedMap<NodeId, Route>,
+    /// `None` while the routes are current.
+    pub(crate) compute_at: Option<Instant>,
+    computed_at: Instant,
+}
+
+impl RouteTable {
+    /// The topology has changed. Returns when the routes are computed.
+    pub(crate) fn outdate(&mut self, now: Instant) -> Instant {
+        // A change is a burst of floods: the first is acted on at once, the others together.
+        const TOGETHER: Duration = Duration::from_millis(5);
+        *self.compute_at.get_or_insert(now.max(self.computed_at + TOGETHER))
+    }
+
+    /// Takes computed routes. Returns those before.
+    pub(crate) fn replace(
+        &mut self,
+        routes: SortedMap<NodeId, Route>,
+        now: Instant,
+    ) -> SortedMap<NodeId, Route> {
+        let table = RouteTable { routes, compute_at: None, computed_at: now };
+        std::mem::replace(self, table).routes
+    }
+}
+
 /// A link that carries, and what its neighbour still has to be told.
 #[derive(Clone, Debug)]
 pub(crate) struct Adjacency {
@@ -55,13 +83,6 @@ pub(crate) struct Adjacency {
     pub(crate) keys_differ: bool,
     /// The signatures that were checked for it.
     pub(crate) checks: SlidingWindow,
-}
-
-impl Adjacency {
-    /// How long an answer of the neighbour's may take, where it takes so long on a fast medium.
-    pub(crate) fn patience(&self, fast: Duration) -> Duration {
-        patience(self.mtu, fast)
-    }
 }
 
 /// How long an answer over links with this MTU may take, where it takes so long on fast ones.
@@ -149,12 +170,8 @@ impl<'a> Topology<'a> {
 
     pub(crate) fn routes(&self) -> SortedMap<NodeId, Route> {
         let from_here = self.distances(self.here);
-        let from_neighbours: SortedMap<_, _> = self
-            .links
-            .values()
-            .map(|a| (a.id, ()))
-            .map(|(id, ())| (id, self.distances(id)))
-            .collect();
+        let neighbours = self.links.values().map(|adjacent| adjacent.id);
+        let from_neighbours = neighbours.map(|id| (id, self.distances(id))).collect();
         from_here
             .iter()
             .filter(|(id, _)| **id != self.here)

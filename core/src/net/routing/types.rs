@@ -65,7 +65,7 @@ pub struct LinkStatus {
 /// Whether a link can be used, the best first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum LinkHealth {
-    /// It carries.
+    /// The link carries traffic.
     Up,
     /// It carries again, and has failed too often lately to be taken where there is another way.
     Proving,
@@ -80,23 +80,23 @@ pub enum LinkHealth {
 pub enum RouterOutput {
     /// Give this to the link as the router's own.
     Routing {
-        /// Which link.
+        /// The link that sends it.
         link: LinkId,
-        /// What.
+        /// The encoded routing message.
         bytes: Bytes,
     },
     /// Give this packet to the link.
     Packet {
-        /// Which link.
+        /// The link that sends it.
         link: LinkId,
-        /// The packet.
+        /// The encoded packet.
         packet: GatherBuffer,
     },
     /// A segment arrived for our session with the source.
     Segment {
         /// Who sent it.
         source: NodeId,
-        /// The segment.
+        /// The segment, opened where it was sealed.
         segment: Bytes,
         /// No other node can have made it: it came over a link with the source itself, or the
         /// source has sealed it.
@@ -111,7 +111,7 @@ pub enum RouterOutput {
     },
     /// A node can be reached, or has a new incarnation.
     Reachable {
-        /// Which.
+        /// The node that can be reached.
         node: NodeName,
         /// In which incarnation.
         incarnation: Incarnation,
@@ -120,14 +120,14 @@ pub enum RouterOutput {
     },
     /// What is sent to this node takes another way from now on. Repeat what is not acknowledged.
     PathChanged {
-        /// Which.
+        /// The node whose path has changed.
         node: NodeId,
         /// The largest segment that can be sent to it, in bytes.
         mtu: usize,
     },
     /// No path leads to a node any more.
     Lost {
-        /// Which.
+        /// The node that cannot be reached.
         node: NodeName,
         /// In which incarnation.
         incarnation: Incarnation,
@@ -148,7 +148,7 @@ pub enum RouterOutput {
     /// Tell the neighbour at the other end of a link that another node has its name, and has
     /// answered a challenge.
     Refuse {
-        /// The link.
+        /// The link to the refused neighbour.
         link: LinkId,
         /// The other node's incarnation.
         by: Incarnation,
@@ -158,13 +158,13 @@ pub enum RouterOutput {
     /// The neighbour signs what it advertises, and this node has no keys, or the other way round:
     /// what it says is not taken.
     KeysDiffer {
-        /// Which.
+        /// The node at the other end of the link.
         neighbour: NodeName,
     },
     /// A link to this node is not used: another incarnation of it is reached by other ways, and has
     /// answered a challenge. This is repeated every 20 s while it lasts.
     KeptOut {
-        /// Its name.
+        /// The name of both nodes.
         node: NodeName,
         /// The incarnation that is kept out.
         incarnation: Incarnation,

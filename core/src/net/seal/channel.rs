@@ -9,7 +9,7 @@
 //! Keys are in memory only, with the counters that go with them, and are dropped together: a nonce
 //! that is used twice tells an attacker the key of GCM's authentication.
 
-use super::cipher::{ChannelKeys, CipherSuite, FrameCipher};
+use super::cipher::{ChannelKeys, CipherSuite, FrameCipher, SealCrypto};
 use super::compact::CompactCipher;
 use super::header::{COUNTER_END, SealHeader, SealProfile};
 use super::window::ReplayWindow;
@@ -83,13 +83,6 @@ pub enum OpenError {
     Limited,
 }
 
-/// The cipher of a channel's frames.
-#[derive(Debug)]
-enum ChannelCipher<F> {
-    Full(F),
-    Compact(Box<CompactCipher>),
-}
-
 /// What a handshake has agreed on.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ChannelTerms {
@@ -105,12 +98,12 @@ pub(super) struct ChannelTerms {
 
 /// Two keys, and the counters under them.
 #[derive(Debug)]
-pub(super) struct Channel<F> {
-    terms: ChannelTerms,
-    cipher: ChannelCipher<F>,
-    since: Instant,
+pub(super) struct Channel {
+    pub(super) terms: ChannelTerms,
+    cipher: Box<dyn FrameCipher>,
+    pub(super) since: Instant,
     /// A frame was opened under it.
-    confirmed: bool,
+    pub(super) confirmed: bool,
     next: [u64; 3],
     windows: [ReplayWindow; 3],
     sealed: u64,
@@ -119,16 +112,16 @@ pub(super) struct Channel<F> {
     forged: u64,
 }
 
-impl<F: FrameCipher> Channel<F> {
+impl Channel {
     pub(super) fn new(
         terms: ChannelTerms,
         keys: &ChannelKeys,
-        full: impl FnOnce(CipherSuite, &ChannelKeys) -> F,
+        crypto: &impl SealCrypto,
         now: Instant,
     ) -> Self {
         let cipher = match terms.profile {
-            SealProfile::Full => ChannelCipher::Full(full(terms.suite, keys)),
-            SealProfile::Compact => ChannelCipher::Compact(Box::new(CompactCipher::new(keys))),
+            SealProfile::Full => crypto.cipher(terms.suite, keys),
+            SealProfile::Compact => Box::new(CompactCipher::new(keys)),
         };
         Channel {
             terms,
@@ -141,18 +134,6 @@ impl<F: FrameCipher> Channel<F> {
             unanswered: 0,
             forged: 0,
         }
-    }
-
-    pub(super) fn terms(&self) -> &ChannelTerms {
-        &self.terms
-    }
-
-    pub(super) fn since(&self) -> Instant {
-        self.since
-    }
-
-    pub(super) fn is_confirmed(&self) -> bool {
-        self.confirmed
     }
 
     fn suite(&self) -> Option<CipherSuite> {
@@ -173,7 +154,7 @@ impl<F: FrameCipher> Channel<F> {
     }
 
     /// Seals a frame, given in pieces. One buffer is allocated.
-    fn seal(&mut self, lane: FrameLane, pieces: &[&[u8]]) -> Bytes {
+    pub(super) fn seal(&mut self, lane: FrameLane, pieces: &[&[u8]]) -> Bytes {
         let (profile, suite, channel) = (self.terms.profile, self.suite(), self.terms.remote);
         let counter = self.next[lane.number()];
         self.next[lane.number()] += 1;
@@ -182,7 +163,7 @@ impl<F: FrameCipher> Channel<F> {
 
         let before = profile.header_length();
         let plain: usize = pieces.iter().map(|piece| piece.len()).sum();
-        let mut frame = BytesMut::with_capacity(before + plain + self.cipher.tag_length());
+        let mut frame = BytesMut::with_capacity(plain + profile.overhead());
         // The receiver completes the counter from its low bits.
         let header = SealHeader { profile, suite, lane, channel, counter: counter as u32 };
         header.encode(&mut frame);
@@ -222,33 +203,10 @@ impl<F: FrameCipher> Channel<F> {
     }
 }
 
-impl<F: FrameCipher> FrameCipher for ChannelCipher<F> {
-    fn tag_length(&self) -> usize {
-        match self {
-            ChannelCipher::Full(cipher) => cipher.tag_length(),
-            ChannelCipher::Compact(cipher) => cipher.tag_length(),
-        }
-    }
-
-    fn seal(&mut self, nonce: u64, frame: &mut BytesMut, from: usize) {
-        match self {
-            ChannelCipher::Full(cipher) => cipher.seal(nonce, frame, from),
-            ChannelCipher::Compact(cipher) => cipher.seal(nonce, frame, from),
-        }
-    }
-
-    fn open(&mut self, nonce: u64, sealed: &mut [u8]) -> Option<usize> {
-        match self {
-            ChannelCipher::Full(cipher) => cipher.open(nonce, sealed),
-            ChannelCipher::Compact(cipher) => cipher.open(nonce, sealed),
-        }
-    }
-}
-
 /// A channel that no frame was opened under, of a handshake that this node has answered.
 #[derive(Debug)]
-pub(super) struct OfferedChannel<F> {
-    pub(super) channel: Channel<F>,
+pub(super) struct OfferedChannel {
+    pub(super) channel: Channel,
     pub(super) since: Instant,
     /// Which init it answers, and the answer.
     pub(super) ephemeral: u64,
@@ -270,36 +228,22 @@ pub(super) enum Opening {
 }
 
 /// The channels of one peer.
-#[derive(Debug)]
-pub(super) struct PeerChannels<F> {
-    present: Option<Channel<F>>,
-    offered: Option<OfferedChannel<F>>,
+#[derive(Debug, Default)]
+pub(super) struct PeerChannels {
+    pub(super) present: Option<Channel>,
+    pub(super) offered: Option<OfferedChannel>,
     /// With the instant at which it is dropped.
-    former: Option<(Channel<F>, Instant)>,
+    former: Option<(Channel, Instant)>,
     /// When a frame was opened under the present channel.
     opened_at: Option<Instant>,
 }
 
-impl<F> Default for PeerChannels<F> {
-    fn default() -> Self {
-        PeerChannels { present: None, offered: None, former: None, opened_at: None }
-    }
-}
-
-impl<F: FrameCipher> PeerChannels<F> {
+impl PeerChannels {
     /// How long an offer waits for its first frame. The initiator asks again after a second.
     pub(super) const OFFER_MAX: Duration = Duration::from_secs(5);
     /// A peer whose frames were opened within this time is there, in that incarnation. Links know
     /// after 175 ms of silence that a neighbour is gone.
     const HEARD_WITHIN: Duration = Duration::from_millis(200);
-
-    pub(super) fn present(&self) -> Option<&Channel<F>> {
-        self.present.as_ref()
-    }
-
-    pub(super) fn offered(&self) -> Option<&OfferedChannel<F>> {
-        self.offered.as_ref()
-    }
 
     /// The numbers of all channels in frames to this node.
     pub(super) fn local_numbers(&self) -> impl Iterator<Item = u32> {
@@ -337,11 +281,6 @@ impl<F: FrameCipher> PeerChannels<F> {
         Some(present.seal(lane, pieces))
     }
 
-    /// Seals under the offered channel.
-    pub(super) fn seal_offered(&mut self, lane: FrameLane, pieces: &[&[u8]]) -> Option<Bytes> {
-        Some(self.offered.as_mut()?.channel.seal(lane, pieces))
-    }
-
     /// Opens a frame under the channel that its header names. Returns the peer's
     /// incarnation, as that channel's handshake says.
     pub(super) fn open(
@@ -351,7 +290,7 @@ impl<F: FrameCipher> PeerChannels<F> {
         limits: &KeyLimits,
         now: Instant,
     ) -> Result<(Opening, Incarnation), OpenError> {
-        let usable = |channel: &Channel<F>| channel.has(header) && !channel.is_worn_out(limits);
+        let usable = |channel: &Channel| channel.has(header) && !channel.is_worn_out(limits);
         if let Some(present) = self.present.as_mut().filter(|channel| usable(channel)) {
             present.open(header, frame)?;
             self.opened_at = Some(now);
@@ -377,11 +316,6 @@ impl<F: FrameCipher> PeerChannels<F> {
         Ok((Opening::Accepted, peer))
     }
 
-    /// Offers a channel to the initiator of a handshake. It replaces an earlier offer.
-    pub(super) fn offer(&mut self, offer: OfferedChannel<F>) {
-        self.offered = Some(offer);
-    }
-
     /// Takes the offered channel into use, and offers the present one instead. Returns the
     /// peer's incarnation in the channel that is used now.
     pub(super) fn exchange(&mut self, now: Instant) -> Option<Incarnation> {
@@ -393,13 +327,8 @@ impl<F: FrameCipher> PeerChannels<F> {
         Some(present.terms.peer)
     }
 
-    /// Drops the offer.
-    pub(super) fn withdraw(&mut self) {
-        self.offered = None;
-    }
-
     /// Takes a channel into use. Frames of another incarnation of the peer are not opened any more.
-    pub(super) fn replace(&mut self, channel: Channel<F>, limits: &KeyLimits, now: Instant) {
+    pub(super) fn replace(&mut self, channel: Channel, limits: &KeyLimits, now: Instant) {
         let incarnation = channel.terms.peer;
         let former = self.present.replace(channel);
         self.former = former
@@ -419,7 +348,7 @@ impl<F: FrameCipher> PeerChannels<F> {
     pub(super) fn drop_due_keys(&mut self, limits: &KeyLimits, now: Instant) -> bool {
         self.former.take_if(|(_, due)| *due <= now);
         self.offered.take_if(|offer| offer.since + Self::OFFER_MAX <= now);
-        let is_over = |channel: &mut Channel<F>| {
+        let is_over = |channel: &mut Channel| {
             channel.since + limits.age_max <= now || channel.is_worn_out(limits)
         };
         self.present.take_if(is_over).is_some()

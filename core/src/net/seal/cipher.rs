@@ -45,7 +45,7 @@ impl CipherSuite {
 /// What both ends of a handshake must agree on.
 #[derive(Clone, Copy)]
 pub struct HandshakeTerms<'a> {
-    /// The AEAD.
+    /// The AEAD of the handshake and of its channel.
     pub suite: CipherSuite,
     /// What else both ends know: use of the channel, robot, initiator and responder.
     pub prologue: &'a [u8],
@@ -62,17 +62,8 @@ pub struct ChannelKeys {
     pub open: [u8; 32],
 }
 
-impl fmt::Debug for ChannelKeys {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("ChannelKeys(…)")
-    }
-}
-
 /// Seals and opens the frames of one channel, in place.
-pub trait FrameCipher {
-    /// The bytes that a seal adds behind the frame.
-    fn tag_length(&self) -> usize;
-
+pub trait FrameCipher: fmt::Debug + Send {
     /// Seals what stands in `frame` from `from` on, and appends the tag. The caller uses each nonce
     /// once.
     fn seal(&mut self, nonce: u64, frame: &mut BytesMut, from: usize);
@@ -89,8 +80,6 @@ pub trait FrameCipher {
 pub trait SealCrypto {
     /// One end of a handshake that is not complete.
     type Handshake;
-    /// Seals the frames of a channel.
-    type Cipher: FrameCipher;
 
     /// What this node and the one with that public key can compute, and no other.
     fn pair_secret(&self, peer: &[u8; PUBLIC_KEY]) -> Option<[u8; 32]>;
@@ -127,5 +116,5 @@ pub trait SealCrypto {
     ) -> Option<([u8; PAYLOAD], ChannelKeys)>;
 
     /// The cipher for the frames of a channel.
-    fn cipher(&self, suite: CipherSuite, keys: &ChannelKeys) -> Self::Cipher;
+    fn cipher(&self, suite: CipherSuite, keys: &ChannelKeys) -> Box<dyn FrameCipher>;
 }

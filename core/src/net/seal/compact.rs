@@ -30,10 +30,6 @@ impl CompactCipher {
 }
 
 impl FrameCipher for CompactCipher {
-    fn tag_length(&self) -> usize {
-        TAG
-    }
-
     fn seal(&mut self, nonce: u64, frame: &mut BytesMut, from: usize) {
         let tag = self.seal.short_mac(&[&nonce.to_be_bytes(), &frame[from..]]);
         frame.extend_from_slice(&tag);

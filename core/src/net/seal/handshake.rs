@@ -53,8 +53,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
     pub(super) fn begin(&mut self, node: NodeId, now: Instant) {
         let initiator = self.is_initiator(node);
         let Some(peer) = self.peers.get_mut(&node) else { return };
-        peer.attempt = 1;
-        peer.approach = if initiator { Approach::Waiting } else { Approach::Knocking };
+        peer.restart(if initiator { Approach::Waiting } else { Approach::Knocking }, now);
         self.index(node);
         if initiator {
             self.push_begin(node);
@@ -62,6 +61,15 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
             self.knock(node, now);
         }
         self.schedule(node, now);
+    }
+
+    /// Begins with an init once more, as soon as it has a turn.
+    fn wait_for_turn(&mut self, node: NodeId) {
+        if let Some(peer) = self.peers.get_mut(&node) {
+            peer.go_on(Approach::Waiting);
+        }
+        self.index(node);
+        self.push_begin(node);
     }
 
     fn push_begin(&mut self, node: NodeId) {
@@ -75,9 +83,10 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
     /// Sets when to try again.
     fn schedule(&mut self, node: NodeId, now: Instant) {
         let jitter = u64::from_be_bytes(*self.seeds.next_seed().first_chunk().expect("32 bytes"));
-        let Some(peer) = self.peers.get_mut(&node) else { return };
-        peer.attempt = peer.attempt.saturating_add(1);
-        peer.retransmit_at = Some(now + self.config.backoff().delay(peer.attempt, jitter));
+        let peer = self.peers.get_mut(&node);
+        let Some(attempt) = peer.and_then(|peer| peer.attempt.as_mut()) else { return };
+        attempt.count = attempt.count.saturating_add(1);
+        attempt.retransmit_at = now + self.config.backoff().delay(attempt.count, jitter);
     }
 
     fn transmit(&mut self, to: A, frame: Bytes) {
@@ -88,14 +97,14 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
     pub(super) fn retransmit(&mut self, node: NodeId, now: Instant) {
         let first = self.config.backoff().first;
         let Some(peer) = self.peers.get_mut(&node) else { return };
-        match &peer.approach {
-            Approach::Idle => return peer.retransmit_at = None,
+        let Some(approach) = peer.approach() else { return };
+        match approach {
             Approach::Knocking => self.knock(node, now),
             Approach::Asking { since, init, to, .. } if now - *since < first * 10 => {
                 // Another address was not given to this node: a knock named it, which may be a
                 // replay, and gets one init. The peer knocks again.
                 if peer.address.as_ref() == Some(to) {
-                    let frame = peer.encoded(&HandshakeFrame::Init(*init), now);
+                    let frame = peer.keys.encoded(&HandshakeFrame::Init(*init), now);
                     let to = to.clone();
                     self.transmit(to, frame);
                 }
@@ -105,9 +114,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
                 self.confirm(node, to);
             }
             Approach::Waiting | Approach::Asking { .. } | Approach::Confirming { .. } => {
-                peer.approach = Approach::Waiting;
-                self.index(node);
-                self.push_begin(node);
+                self.wait_for_turn(node);
             }
         }
         self.schedule(node, now);
@@ -119,7 +126,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         if let Some(peer) = self.peers.get(&node)
             && let Some(to) = peer.address.clone()
         {
-            let frame = peer.encoded(&knock, now);
+            let frame = peer.keys.encoded(&knock, now);
             self.transmit(to, frame);
         }
     }
@@ -146,7 +153,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         if peer.channels.drop_due_keys(&self.config.limits, now) {
             peer.was_open = None;
             self.outputs.push_back(SealerOutput::KeyWornOut { peer: node });
-            if self.peers[&node].is_idle() {
+            if self.peers[&node].attempt.is_none() {
                 self.begin(node, now);
             }
         }
@@ -165,18 +172,18 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
             HandshakeFrame::Init(init) => self.handle_init(init, &frame, bytes, from, now),
             HandshakeFrame::Knock { from: node, to, nonce } => {
                 self.check_initiator(*to, self.config.node < *node)?;
-                self.peer(*node)?.has_proof(&frame, bytes)?;
+                self.peer(*node)?.keys.has_proof(&frame, bytes)?;
                 self.handle_knock(*node, *nonce, from, now)
             }
             HandshakeFrame::Answer(answer) => {
                 let (node, _) = self.asked(answer.answered)?;
-                self.peer(node)?.has_proof(&frame, bytes)?;
+                self.peer(node)?.keys.has_proof(&frame, bytes)?;
                 self.push(HandshakeStep::Answer(node, *answer, from.clone()))
             }
             HandshakeFrame::Cookie(cookie) => self.handle_cookie(cookie, now),
             HandshakeFrame::Prefer { channel, suite } => {
                 let (node, _) = self.asked(*channel)?;
-                self.peer(node)?.has_proof(&frame, bytes)?;
+                self.peer(node)?.keys.has_proof(&frame, bytes)?;
                 self.handle_prefer(node, *suite)
             }
         };
@@ -196,7 +203,8 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
     /// The peer whose handshake has this number, and its init.
     fn asked(&self, number: u32) -> Result<(NodeId, InitFrame), OpenError> {
         let node = self.numbers.get(&number).ok_or(OpenError::Unknown)?;
-        let init = self.peers.get(node).and_then(|peer| peer.asked(number));
+        let init = self.peers.get(node).and_then(SealedPeer::init);
+        let init = init.filter(|init| init.channel == number);
         Ok((*node, *init.ok_or(OpenError::Unknown)?))
     }
 
@@ -223,10 +231,10 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
     ) -> Result<(), OpenError> {
         self.check_initiator(init.to, init.from < self.config.node)?;
         let peer = self.peers.get(&init.from).ok_or(OpenError::Unknown)?;
-        peer.has_proof(frame, bytes)?;
+        peer.keys.has_proof(frame, bytes)?;
         if self.repeats.contains(init.from, init.ephemeral()) {
             // Our answer may have been lost.
-            if let Some(offer) = peer.channels.offered()
+            if let Some(offer) = &peer.channels.offered
                 && offer.ephemeral == init.ephemeral()
             {
                 let answer = offer.answer.clone();
@@ -238,7 +246,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         if init.suite == CipherSuite::AesGcm && !self.config.fast_aes {
             let suite = self.config.suite();
             let prefer = HandshakeFrame::Prefer { channel: init.channel, suite };
-            let frame = self.peer(init.from)?.encoded(&prefer, now);
+            let frame = self.peer(init.from)?.keys.encoded(&prefer, now);
             self.transmit(from.clone(), frame);
             return Ok(());
         }
@@ -254,7 +262,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         from: &A,
         now: Instant,
     ) -> Result<(), OpenError> {
-        if self.budget.take(now) {
+        if self.budget.add((), now) {
             return Ok(());
         }
         if !self.config.forgeable_addresses {
@@ -271,9 +279,9 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
             return Ok(());
         }
         let mac1 = mac1.first_chunk().expect("mac1 was found right");
-        let sealed = peer.cookie_cipher.seal(nonce, mac1, cookie);
+        let sealed = peer.keys.cookie_cipher.seal(nonce, mac1, cookie);
         let reply = CookieFrame { answered: init.channel, nonce, sealed };
-        let frame = peer.encoded(&HandshakeFrame::Cookie(reply), now);
+        let frame = peer.keys.encoded(&HandshakeFrame::Cookie(reply), now);
         self.transmit(from.clone(), frame);
         Err(OpenError::Limited)
     }
@@ -289,18 +297,18 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
             return Err(OpenError::Repeated);
         }
         let peer = self.peer(node)?;
-        if let Approach::Asking { init, to, .. } = &peer.approach
+        if let Some(Approach::Asking { init, to, .. }) = peer.approach()
             && (to == from || now >= peer.knock_at)
         {
             // The init was lost, or the peer is elsewhere: it is sent once more, which costs no
             // arithmetic.
-            let frame = peer.encoded(&HandshakeFrame::Init(*init), now);
+            let frame = peer.keys.encoded(&HandshakeFrame::Init(*init), now);
             peer.knock_at = now + KNOCK_INTERVAL;
             self.repeats.insert(node, nonce);
             self.transmit(from.clone(), frame);
             return Ok(());
         }
-        if now < peer.knock_at || !self.budget.take(now) {
+        if now < peer.knock_at || !self.budget.add((), now) {
             return Err(OpenError::Limited);
         }
         self.repeats.insert(node, nonce);
@@ -316,10 +324,10 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         let peer = self.peer(node)?;
         // That of the init itself: mac1 does not depend on a cookie.
         let frame = HandshakeFrame::Init(init);
-        let bytes = peer.encoded(&frame, now);
+        let bytes = peer.keys.encoded(&frame, now);
         let mac1 = frame.mac1(&bytes).1.first_chunk().expect("8 bytes");
-        let opened = peer.cookie_cipher.open(cookie.nonce, mac1, cookie.sealed);
-        peer.cookie = Some((opened.ok_or(OpenError::Filtered)?, now));
+        let opened = peer.keys.cookie_cipher.open(cookie.nonce, mac1, cookie.sealed);
+        peer.keys.cookie = Some((opened.ok_or(OpenError::Filtered)?, now));
         Ok(())
     }
 
@@ -330,9 +338,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
             return Err(OpenError::Unknown);
         }
         peer.suite = suite;
-        peer.approach = Approach::Waiting;
-        self.index(node);
-        self.push_begin(node);
+        self.wait_for_turn(node);
         Ok(())
     }
 
@@ -350,37 +356,43 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         let prologue = self.config.prologue(from, node);
         let payload = encode_payload(self.config.incarnation);
         let Some(peer) = self.peers.get_mut(&node) else { return };
-        if !matches!(peer.approach, Approach::Waiting) {
+        if !matches!(peer.approach(), Some(Approach::Waiting)) {
             return;
         }
         let Some(to) = peer.knocked_from.take().or_else(|| peer.address.clone()) else {
-            return peer.stop();
+            return peer.attempt = None;
         };
-        let terms = HandshakeTerms { suite: peer.suite, prologue: &prologue, peer: &peer.public };
+        let terms =
+            HandshakeTerms { suite: peer.suite, prologue: &prologue, peer: &peer.keys.public };
         let Some((handshake, noise)) = self.crypto.write_init(terms, seed, &payload) else {
             return;
         };
         let init = InitFrame { suite: peer.suite, channel: number, from, to: node, noise };
-        let frame = peer.encoded(&HandshakeFrame::Init(init), now);
-        peer.approach = Approach::Asking { handshake, init, to: to.clone(), since: now };
+        let frame = peer.keys.encoded(&HandshakeFrame::Init(init), now);
+        peer.go_on(Approach::Asking { handshake, init, to: to.clone(), since: now });
         self.transmit(to, frame);
         self.index(node);
-        self.bound_asking();
-    }
-
-    /// Gives up the oldest handshake that was begun here, if there are too many: it is begun once
-    /// more at its next attempt.
-    fn bound_asking(&mut self) {
-        let since = |peer: &SealedPeer<C, A>| match peer.approach {
-            Approach::Asking { since, .. } => Some(since),
+        let since = |peer: &SealedPeer<C, A>| match peer.approach()? {
+            Approach::Asking { since, .. } => Some(*since),
             _ => None,
         };
-        let asking = self.peers.iter().filter_map(|(node, peer)| Some((since(peer)?, *node)));
-        let (count, oldest) = (asking.clone().count(), asking.min());
-        if let Some((_, node)) = oldest.filter(|_| count > ASKING_MAX)
+        // It is begun once more at its next attempt.
+        self.bound(ASKING_MAX, since, |peer| peer.go_on(Approach::Waiting));
+    }
+
+    /// Ends what is pending with the peer where that is the oldest, if there are more than `most`.
+    fn bound(
+        &mut self,
+        most: usize,
+        since: impl Fn(&SealedPeer<C, A>) -> Option<Instant>,
+        end: impl FnOnce(&mut SealedPeer<C, A>),
+    ) {
+        let pending = self.peers.iter().filter_map(|(node, peer)| Some((since(peer)?, *node)));
+        let (count, oldest) = (pending.clone().count(), pending.min());
+        if let Some((_, node)) = oldest.filter(|_| count > most)
             && let Some(peer) = self.peers.get_mut(&node)
         {
-            peer.approach = Approach::Waiting;
+            end(peer);
             self.index(node);
         }
     }
@@ -390,7 +402,8 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         let (seed, number) = (self.seeds.next_seed(), self.new_number());
         let prologue = self.config.prologue(node, self.config.node);
         let Some(peer) = self.peers.get_mut(&node) else { return };
-        let terms = HandshakeTerms { suite: init.suite, prologue: &prologue, peer: &peer.public };
+        let terms =
+            HandshakeTerms { suite: init.suite, prologue: &prologue, peer: &peer.keys.public };
         let Some((handshake, payload)) = self.crypto.read_init(terms, seed, &init.noise) else {
             peer.refused += 1;
             return;
@@ -402,37 +415,20 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         let channel = self.new_channel(init.suite, number, init.channel, theirs, &keys, now);
         let answer = AnswerFrame { channel: number, answered: init.channel, noise };
         let Some(peer) = self.peers.get_mut(&node) else { return };
-        let answer = peer.encoded(&HandshakeFrame::Answer(answer), now);
+        let answer = peer.keys.encoded(&HandshakeFrame::Answer(answer), now);
         let ephemeral = init.ephemeral();
-        peer.channels.offer(OfferedChannel {
-            channel,
-            since: now,
-            ephemeral,
-            answer: answer.clone(),
-        });
+        let offer = OfferedChannel { channel, since: now, ephemeral, answer: answer.clone() };
+        peer.channels.offered = Some(offer);
         self.transmit(from, answer);
         self.index(node);
-        self.bound_offers();
-    }
-
-    /// Withdraws the oldest offer, if there are too many.
-    fn bound_offers(&mut self) {
-        let offers = self
-            .peers
-            .iter()
-            .filter_map(|(node, peer)| peer.channels.offered().map(|offer| (offer.since, *node)));
-        let (count, oldest) = (offers.clone().count(), offers.min());
-        if let Some((_, node)) = oldest.filter(|_| count > OFFERS_MAX)
-            && let Some(peer) = self.peers.get_mut(&node)
-        {
-            peer.channels.withdraw();
-            self.index(node);
-        }
+        let since = |peer: &SealedPeer<C, A>| Some(peer.channels.offered.as_ref()?.since);
+        self.bound(OFFERS_MAX, since, |peer| peer.channels.offered = None);
     }
 
     fn complete(&mut self, node: NodeId, answer: &AnswerFrame, to: A, now: Instant) {
         let Some(peer) = self.peers.get_mut(&node) else { return };
-        let Approach::Asking { handshake, init, .. } = &mut peer.approach else { return };
+        let Some(attempt) = &mut peer.attempt else { return };
+        let Approach::Asking { handshake, init, .. } = &mut attempt.approach else { return };
         if init.channel != answer.answered {
             return;
         }
@@ -441,14 +437,14 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
             peer.refused += 1;
             return;
         };
-        peer.approach = Approach::Waiting;
+        attempt.approach = Approach::Waiting;
         let theirs = decode_payload(&payload);
         let channel = self.new_channel(suite, number, answer.channel, theirs, &keys, now);
         let Some(peer) = self.peers.get_mut(&node) else { return };
         if let Some(open) = peer.channels.in_use_by_other(theirs, now) {
             // For what the other one is told.
             let offer = OfferedChannel { channel, since: now, ephemeral, answer: Bytes::new() };
-            peer.channels.offer(offer);
+            peer.channels.offered = Some(offer);
             let in_use = SealerOutput::KeyInUse { peer: node, address: to, open, refused: theirs };
             self.outputs.push_back(in_use);
             return self.index(node);
@@ -456,8 +452,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         // Its answer is fresh, since it depends on our ephemeral key: no confirmation is needed.
         peer.channels.replace(channel, &self.config.limits, now);
         peer.address = Some(to.clone());
-        peer.approach = Approach::Confirming { to: to.clone(), since: now };
-        peer.attempt = 1;
+        peer.restart(Approach::Confirming { to: to.clone(), since: now }, now);
         self.index(node);
         self.confirm(node, to);
         self.schedule(node, now);
@@ -471,9 +466,9 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         peer: Incarnation,
         keys: &ChannelKeys,
         now: Instant,
-    ) -> Channel<C::Cipher> {
+    ) -> Channel {
         let terms = ChannelTerms { profile: self.config.profile, suite, local, remote, peer };
-        Channel::new(terms, keys, |suite, keys| self.crypto.cipher(suite, keys), now)
+        Channel::new(terms, keys, &self.crypto, now)
     }
 
     /// A number that no frame to this node bears yet. A used one is returned only if all are used:

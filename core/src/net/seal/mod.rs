@@ -32,7 +32,7 @@
 //! work waits until the caller gives it a turn ([`Sealer::handle_turn`]), one message each.
 //!
 //! **Before authentication.** A frame of a handshake passes, in this order: its form; `mac1`, which
-//! needs a key of the pair; the memory of repeats; a budget of fifty a second; beyond that, where
+//! needs a key of the pair; the memory of repeats; a budget of 64 within a second; beyond that, where
 //! addresses can be forged, a cookie. All of it takes less than 64 KiB, and no address receives
 //! more bytes than came from there.
 //!
@@ -63,7 +63,7 @@ pub(crate) use handshake_frame::{INIT_LENGTH, is_handshake};
 pub use header::SealProfile;
 pub use noise::NoiseCrypto;
 
-use self::admission::{CookieJar, HandshakeBudget, RepeatMemory};
+use self::admission::{BUDGET, BUDGET_PERIOD, CookieJar, RepeatMemory};
 use self::channel::Opening;
 use self::handshake::HandshakeStep;
 use self::header::SealHeader;
@@ -74,7 +74,7 @@ use super::wire::{Refusals, WireError};
 use crate::recovery::Backoff;
 use crate::sorted::SortedMap;
 use crate::timer::Timers;
-use crate::{Incarnation, Instant, Machine};
+use crate::{Incarnation, Instant, Machine, SlidingWindow};
 use bytes::{Bytes, BytesMut};
 use std::collections::VecDeque;
 use std::hash::Hash;
@@ -101,7 +101,7 @@ const EXCHANGE_BYTES: u64 = 89 + 76 + 16;
 /// How a sealer behaves.
 #[derive(Clone, Debug)]
 pub struct SealerConfig {
-    /// This node.
+    /// The number of this node.
     pub node: NodeId,
     /// This node's incarnation.
     pub incarnation: Incarnation,
@@ -181,19 +181,19 @@ pub struct OpenedFrame {
 pub enum SealerOutput<A> {
     /// Give this frame to the transport.
     Transmit {
-        /// Where to.
+        /// The address of the receiver.
         to: A,
-        /// The frame.
+        /// The frame, sealed or of a handshake.
         frame: Bytes,
     },
     /// The peer has a channel with this node: it holds its key, and is there now. Frames of its
     /// earlier incarnations are not opened any more.
     PeerOpen {
-        /// Which.
+        /// The peer that the channel is with.
         peer: NodeId,
         /// Where its first frame came from, which may be forged.
         address: A,
-        /// Its incarnation.
+        /// The incarnation that the peer's key has proved.
         incarnation: Incarnation,
         /// It had a channel in the same incarnation: these are new keys.
         renewed: bool,
@@ -202,7 +202,7 @@ pub enum SealerOutput<A> {
     /// peer was restarted within some tenths of a second, or two nodes have one key. The other one
     /// reads what is [sealed for it](Sealer::seal_for_other).
     KeyInUse {
-        /// The peer.
+        /// The peer whose key another node has.
         peer: NodeId,
         /// Where the other one is.
         address: A,
@@ -214,7 +214,7 @@ pub enum SealerOutput<A> {
     /// No new keys could be agreed on until the old ones must not be used any more. The channel is
     /// closed; the sealer goes on asking for another.
     KeyWornOut {
-        /// The peer.
+        /// The peer whose channel is closed.
         peer: NodeId,
     },
 }
@@ -293,7 +293,7 @@ pub struct Sealer<C: SealCrypto, A> {
     /// Whose channel, or handshake, a number in a frame to this node means.
     numbers: SortedMap<u32, NodeId>,
     repeats: RepeatMemory,
-    budget: HandshakeBudget,
+    budget: SlidingWindow,
     cookies: CookieJar,
     /// Messages of handshakes that wait for their turn.
     steps: VecDeque<HandshakeStep<A>>,
@@ -312,7 +312,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
             peers: SortedMap::new(),
             numbers: SortedMap::new(),
             repeats: RepeatMemory::default(),
-            budget: HandshakeBudget::new(now),
+            budget: SlidingWindow::new(BUDGET, BUDGET_PERIOD),
             cookies: CookieJar::new(&mut seeds, now),
             seeds,
             steps: VecDeque::new(),
@@ -335,7 +335,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         if peer == self.config.node {
             return Err(PeerKeyError::Ourselves(peer));
         }
-        if self.peers.get(&peer).is_some_and(|known| known.has_key(public)) {
+        if self.peers.get(&peer).is_some_and(|known| known.keys.public == *public) {
             return Ok(());
         }
         self.remove_peer(peer);
@@ -357,7 +357,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
     /// that is open stays so meanwhile. Peers that are not known are not asked.
     pub fn connect(&mut self, peer: NodeId, address: A, now: Instant) {
         if let Some(known) = self.peers.get_mut(&peer) {
-            known.set_address(address);
+            known.address = Some(address);
             self.begin(peer, now);
             self.rearm();
         }
@@ -366,7 +366,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
     /// The peer is at this address now. Where a handshake is under way, it goes on where it began.
     pub fn set_address(&mut self, peer: NodeId, address: A) {
         if let Some(known) = self.peers.get_mut(&peer) {
-            known.set_address(address);
+            known.address = Some(address);
         }
     }
 
@@ -385,7 +385,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
     /// Stops asking the peer for a channel. One that is open stays so.
     pub fn stop_asking(&mut self, peer: NodeId) {
         if let Some(known) = self.peers.get_mut(&peer) {
-            known.stop();
+            known.attempt = None;
             self.index(peer);
             self.rearm();
         }
@@ -401,10 +401,10 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
     ) -> Option<Bytes> {
         let known = self.peers.get_mut(&peer)?;
         let frame = known.channels.seal(lane, pieces, &self.config.limits);
-        if frame.is_none() && known.channels.present().is_some() {
+        if frame.is_none() && known.channels.present.is_some() {
             self.drop_keys(peer, now);
             self.rearm();
-        } else if known.is_idle() && known.channels.is_worn(&self.config.limits) {
+        } else if known.attempt.is_none() && known.channels.is_worn(&self.config.limits) {
             self.begin(peer, now);
             self.rearm();
         }
@@ -414,7 +414,8 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
     /// Seals a frame for another node with the peer's key, of which
     /// [`KeyInUse`](SealerOutput::KeyInUse) was reported just now.
     pub fn seal_for_other(&mut self, peer: NodeId, frame: &[u8]) -> Option<Bytes> {
-        self.peers.get_mut(&peer)?.channels.seal_offered(FrameLane::Hello, &[frame])
+        let offered = self.peers.get_mut(&peer)?.channels.offered.as_mut()?;
+        Some(offered.channel.seal(FrameLane::Hello, &[frame]))
     }
 
     /// The peer is the other node with its key, of which [`KeyInUse`](SealerOutput::KeyInUse) was
@@ -494,12 +495,12 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
 
     /// The state of the peer's channel; `None` while it has none that both ends use.
     pub fn channel(&self, peer: NodeId) -> Option<ChannelStatus> {
-        let present = self.peers.get(&peer)?.channels.present()?;
-        let terms = present.terms();
-        present.is_confirmed().then(|| ChannelStatus {
+        let present = self.peers.get(&peer)?.channels.present.as_ref()?;
+        let terms = &present.terms;
+        present.confirmed.then_some(ChannelStatus {
             profile: terms.profile,
             suite: terms.suite,
-            since: present.since(),
+            since: present.since,
             incarnation: terms.peer,
         })
     }

@@ -27,6 +27,18 @@ use std::hint::black_box;
 use x25519_dalek::{PublicKey, StaticSecret};
 use zeroize::Zeroizing;
 
+/// Shows the name of a type that holds a secret, and nothing else.
+macro_rules! secret {
+    ($($name:ident),*) => {
+        $(impl fmt::Debug for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str(concat!(stringify!($name), "(…)"))
+            }
+        })*
+    };
+}
+secret!(NoiseCrypto, SeedGenerator, MacKey, CookieCipher, ChannelKeys);
+
 /// The cryptography of a node, with its static key.
 pub struct NoiseCrypto {
     secret: StaticSecret,
@@ -56,15 +68,8 @@ impl NoiseCrypto {
     }
 }
 
-impl fmt::Debug for NoiseCrypto {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("NoiseCrypto(…)")
-    }
-}
-
 impl SealCrypto for NoiseCrypto {
     type Handshake = Box<HandshakeState>;
-    type Cipher = AeadCipher;
 
     fn pair_secret(&self, peer: &[u8; PUBLIC_KEY]) -> Option<[u8; 32]> {
         let shared = self.secret.diffie_hellman(&PublicKey::from(*peer));
@@ -113,8 +118,8 @@ impl SealCrypto for NoiseCrypto {
         Some((payload, ChannelKeys { seal, open }))
     }
 
-    fn cipher(&self, suite: CipherSuite, keys: &ChannelKeys) -> AeadCipher {
-        AeadCipher::new(suite, keys)
+    fn cipher(&self, suite: CipherSuite, keys: &ChannelKeys) -> Box<dyn FrameCipher> {
+        Box::new(AeadCipher::new(suite, keys))
     }
 }
 
@@ -169,10 +174,6 @@ impl fmt::Debug for AeadCipher {
 }
 
 impl FrameCipher for AeadCipher {
-    fn tag_length(&self) -> usize {
-        16
-    }
-
     fn seal(&mut self, nonce: u64, frame: &mut BytesMut, from: usize) {
         let plain = &mut frame[from..];
         let sealed = self.seal.seal_in_place_separate_tag(self.nonce(nonce), Aad::empty(), plain);
@@ -282,12 +283,6 @@ impl SeedGenerator {
     }
 }
 
-impl fmt::Debug for SeedGenerator {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("SeedGenerator(…)")
-    }
-}
-
 impl Random for SeedGenerator {
     fn try_fill_bytes(&mut self, out: &mut [u8]) -> Result<(), snow::Error> {
         for chunk in out.chunks_mut(32) {
@@ -325,12 +320,6 @@ impl MacKey {
         let differing =
             right.iter().zip(mac).fold(0, |bits, (ours, theirs)| black_box(bits | (ours ^ theirs)));
         mac.len() == right.len() && differing == 0
-    }
-}
-
-impl fmt::Debug for MacKey {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("MacKey(…)")
     }
 }
 
@@ -382,12 +371,6 @@ impl CookieCipher {
         let nonce = Nonce::assume_unique_for_key(nonce);
         let opened = self.0.open_in_place(nonce, Aad::from(mac), &mut sealed);
         opened.ok()?.first_chunk().copied()
-    }
-}
-
-impl fmt::Debug for CookieCipher {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("CookieCipher(…)")
     }
 }
 

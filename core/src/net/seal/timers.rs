@@ -27,10 +27,10 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
     fn due_of(&self, timer: SealerTimer, node: NodeId, peer: &SealedPeer<C, A>) -> Option<Instant> {
         match timer {
             SealerTimer::KeyDrop => peer.channels.drop_due(&self.config.limits),
-            SealerTimer::HandshakeRetransmit => peer.retransmit_due(),
+            SealerTimer::HandshakeRetransmit => Some(peer.attempt.as_ref()?.retransmit_at),
             SealerTimer::KeyRenewal => {
-                let present = peer.channels.present().filter(|_| peer.is_idle())?;
-                let due = present.since() + self.config.limits.renew_after;
+                let present = peer.channels.present.as_ref().filter(|_| peer.attempt.is_none())?;
+                let due = present.since + self.config.limits.renew_after;
                 Some(if self.is_initiator(node) { due } else { due + RESPONDER_LATER })
             }
         }

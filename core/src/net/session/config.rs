@@ -35,8 +35,8 @@ pub struct SessionConfig {
     pub idle_timeout: Duration,
     /// The most bytes of one message. Bounds what a peer can make us collect.
     pub message_max: usize,
-    /// The bytes of messages that may wait or be unacknowledged in one stream. Beyond, those without
-    /// credit are refused.
+    /// The bytes of messages that may wait or be unacknowledged in one stream. Beyond, those
+    /// without credit are refused.
     pub buffer_bytes: usize,
     /// The number of messages, likewise.
     pub buffer_messages: usize,
@@ -52,7 +52,7 @@ pub struct SessionConfig {
     pub ack_delay: Duration,
     /// The shortest time after which silence is taken for loss.
     pub retransmit_min: Duration,
-    /// The longest.
+    /// The longest time after which silence is taken for loss.
     pub retransmit_max: Duration,
     /// The most best-effort channels of the peer that are remembered: those that were used last.
     pub channels_max: usize,

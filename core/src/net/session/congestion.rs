@@ -10,8 +10,8 @@ use crate::net::wire::segment::DelayTicks;
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// The queueing delay that is aimed at. RFC 6817 allows 100 ms at most; a command waits in the queues
-/// of both directions, each up to twice as long, and has a lease of 200 ms.
+/// The queueing delay that is aimed at. RFC 6817 allows 100 ms at most; a command waits in the
+/// queues of both directions, each up to twice as long, and has a lease of 200 ms.
 pub(super) const TARGET: Duration = Duration::from_millis(25);
 /// The same on a narrow path, where one part takes as long as that.
 const TARGET_NARROW: Duration = Duration::from_millis(100);
@@ -82,9 +82,7 @@ pub(super) struct DelaySample {
 /// Which frames a part stands in queues with: those of one lane overtake those of the other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum DelayLane {
-    /// Control.
     Urgent,
-    /// Everything else.
     Usual,
 }
 
@@ -235,8 +233,8 @@ impl CongestionControl {
             self.window = (self.window / 2).max(least.min(self.window));
             return;
         }
-        // A window that is not used tells nothing of a larger one (RFC 7661). Nor, on a narrow path,
-        // does an acknowledgement that may be of either of two transmissions.
+        // A window that is not used tells nothing of a larger one (RFC 7661). Nor, on a narrow
+        // path, does an acknowledgement that may be of either of two transmissions.
         if self.probing_until.is_some() || (self.is_narrow && !is_measured) {
             return;
         }

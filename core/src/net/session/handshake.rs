@@ -8,8 +8,8 @@ use crate::{DeliveryError, Incarnation, TrafficClass};
 
 impl Session {
     pub(super) fn open(&mut self, peer: Option<RemoteEnd>) {
-        self.number = self.number.saturating_add(1);
-        self.tag = tag::tag(&self.config, self.number);
+        self.identity.number = self.identity.number.saturating_add(1);
+        self.identity.tag = tag::tag(&self.config, self.identity.number);
         let pause = self.config.retransmit_min * if self.is_narrow() { 10 } else { 1 };
         self.state = State::Opening { peer, again_at: self.now, pause };
         self.transmit_open();
@@ -24,9 +24,9 @@ impl Session {
     }
 
     pub(super) fn tell_open(&mut self, echo: u32) {
-        let (tag, number) = (self.tag, self.number);
+        let (tag, number) = (self.identity.tag, self.identity.number);
         let incarnation = self.config.incarnation;
-        let before = self.before;
+        let before = self.identity.before;
         let open = OpenSegment { version: VERSION, tag, echo, incarnation, number, before };
         self.transmit(PacketPriority::Control, Segment::Open(open));
     }
@@ -42,7 +42,7 @@ impl Session {
         }
         // The router speaks for incarnations, whatever their numbers: one that it does not know is
         // over, or forged, or will be told in a moment.
-        if let Some(known) = self.known.filter(|known| *known != open.incarnation) {
+        if let Some(known) = self.identity.known.filter(|known| *known != open.incarnation) {
             match open.incarnation < known {
                 true => self.refusals.stale += 1,
                 false => self.refusals.unexpected += 1,
@@ -50,14 +50,14 @@ impl Session {
             return;
         }
         let key = (open.incarnation, open.number);
-        if key < self.newest {
+        if key < self.identity.newest {
             self.refusals.stale += 1;
             return;
         }
         let theirs =
             RemoteEnd { incarnation: open.incarnation, number: open.number, tag: open.tag };
         let older = |unsettled: &Unsettled| unsettled.peer.number < open.number;
-        if self.unsettled.as_ref().is_some_and(older) {
+        if self.identity.unsettled.as_ref().is_some_and(older) {
             // The peer has ended that session, and receives no more of it.
             self.settle(open.incarnation, open.before);
         }
@@ -80,10 +80,10 @@ impl Session {
             _ => {}
         }
         match self.state {
-            State::Idle if self.path.is_some() => self.open(Some(theirs)),
+            State::Idle if self.path.mtu.is_some() => self.open(Some(theirs)),
             State::Idle | State::Closed => {}
             State::Opening { again_at, pause, .. } => {
-                if open.echo == self.tag {
+                if open.echo == self.identity.tag {
                     self.begin(theirs);
                     self.acknowledge();
                 } else {
@@ -92,7 +92,7 @@ impl Session {
                 }
             }
             // The sender knows our tag, so the one that was noted for it had a changed bit.
-            State::Open { peer } if peer != theirs && open.echo == self.tag => {
+            State::Open { peer } if peer != theirs && open.echo == self.identity.tag => {
                 self.state = State::Open { peer: theirs };
                 self.record_receipt();
                 self.acknowledge();
@@ -102,7 +102,7 @@ impl Session {
                 self.refusals.unexpected += 1;
             }
             State::Open { .. } | State::Closing { .. } => {
-                if open.echo == self.tag {
+                if open.echo == self.identity.tag {
                     self.record_receipt();
                     self.acknowledge();
                 } else {
@@ -118,13 +118,15 @@ impl Session {
             let sent = self.streams[stream as usize].outbound.take_sent();
             sent.map(move |(last, message)| (stream, last, message))
         });
-        Unsettled { tag: self.tag, peer, messages: sent.collect() }
+        Unsettled { tag: self.identity.tag, peer, messages: sent.collect() }
     }
 
     /// Returns what was in flight in the last session and has not arrived, as far as the peer's
     /// `receipt` tells. The peer is in this incarnation now.
     pub(super) fn settle(&mut self, incarnation: Incarnation, receipt: Option<SessionReceipt>) {
-        let Some(Unsettled { tag, peer, messages }) = self.unsettled.take() else { return };
+        let Some(Unsettled { tag, peer, messages }) = self.identity.unsettled.take() else {
+            return;
+        };
         let receipt = receipt.filter(|receipt| receipt.tag == tag);
         let why = match incarnation == peer.incarnation {
             true => self.unreachable(),
@@ -158,9 +160,10 @@ impl Session {
     pub(super) fn begin(&mut self, peer: RemoteEnd) {
         self.settle(peer.incarnation, None);
         self.state = State::Open { peer };
-        self.newest = self.newest.max((peer.incarnation, peer.number));
+        self.identity.newest = self.identity.newest.max((peer.incarnation, peer.number));
         self.record_receipt();
-        self.outputs.push_back(SessionOutput::Opened { incarnation: peer.incarnation });
+        let (incarnation, number) = (peer.incarnation, self.identity.number);
+        self.outputs.push_back(SessionOutput::Opened { incarnation, number });
     }
 
     pub(super) fn handle_reset(&mut self, tag: u32) {
@@ -187,7 +190,7 @@ impl Session {
         if tries > Self::CLOSE_TRIES {
             return self.end(DeliveryError::Stopped);
         }
-        self.rtt[TrafficClass::Control as usize].back_off();
+        self.streams[TrafficClass::Control as usize].rtt.back_off();
         let again_at = Some(self.now + self.retransmit_timeout(TrafficClass::Control));
         self.state = State::Closing { peer, again_at, tries: tries + 1 };
         self.transmit(PacketPriority::Control, Segment::Close { tag: peer.tag });
@@ -197,7 +200,8 @@ impl Session {
         let (State::Open { peer } | State::Closing { peer, .. }) = self.state else { return };
         self.transmit(PacketPriority::Control, Segment::Closed { tag: peer.tag });
         // The peer's next session, if there is one, has a greater number.
-        self.newest = self.newest.max((peer.incarnation, peer.number.saturating_add(1)));
+        self.identity.newest =
+            self.identity.newest.max((peer.incarnation, peer.number.saturating_add(1)));
         self.end(DeliveryError::Stopped);
         if let State::Opening { .. } = self.state {
             // It will not answer until it lives again: the router, or its own open, will tell.

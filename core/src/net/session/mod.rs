@@ -12,8 +12,8 @@
 //! * A peer's session is identified by the peer's incarnation and a number that rises within it. A
 //!   greater number ends the old session; a smaller one is refused. The router reports which
 //!   incarnation is the present one. Tags tell the segments of different sessions apart.
-//! * Each traffic class has an ordered stream, in which each message is delivered exactly once and in
-//!   order. Control goes first; requests, events and bulk share the path by their weights. A
+//! * Each traffic class has an ordered stream, in which each message is delivered exactly once and
+//!   in order. Control goes first; requests, events and bulk share the path by their weights. A
 //!   message that fits into one chunk may be sent between the chunks of a larger one with another
 //!   ordering key. When a session ends, every message that was not acknowledged is returned with
 //!   the reason: it was delivered at most once.
@@ -29,9 +29,11 @@
 //! at once; the caller decides what to do when the receiver is busy.
 
 mod best_effort;
+mod chunker;
 mod config;
 mod congestion;
 mod duplicates;
+mod flight;
 mod handshake;
 mod inbound;
 mod outbound;
@@ -63,7 +65,7 @@ use self::round_trip::RttEstimator;
 use self::turns::WeightedTurns;
 use super::wire::Refusals;
 use super::wire::packet::{PacketPriority, UndeliveredReason};
-use super::wire::segment::{ACKNOWLEDGED_TOGETHER, Data, Datagram, Segment, SessionReceipt};
+use super::wire::segment::{Data, Datagram, Segment, SessionReceipt};
 use crate::timer::Timers;
 use crate::{Credit, DeliveryError, GatherBuffer, Incarnation, Instant, Machine, TrafficClass};
 use bytes::Bytes;
@@ -74,14 +76,31 @@ use std::time::Duration;
 /// The version of what sessions say to each other. From 2 on whole messages come between the parts
 /// of a large one; from 3 on acknowledgements tell when the last part arrived; from 4 on each class
 /// has a stream of its own; from 6 on an open tells what arrived in the session before; from 7 on
-/// faults come as requests, and a reply that cannot be written is an error of its own.
-pub const VERSION: u8 = 7;
+/// faults come as requests, and a reply that cannot be written is an error of its own; from 8 on
+/// one acknowledgement speaks of all streams.
+pub const VERSION: u8 = 8;
 
 /// The machine of one peer node's sessions, one after the other.
 #[derive(Debug)]
 pub struct Session {
     config: SessionConfig,
     state: State,
+    identity: SessionIdentity,
+    path: SessionPath,
+    /// By class, as all arrays here.
+    streams: [StreamState; TrafficClass::COUNT],
+    turns: WeightedTurns,
+    assembly: Assembly,
+    datagrams: DatagramState,
+    now: Instant,
+    counters: SessionCounters,
+    refusals: Refusals,
+    outputs: VecDeque<SessionOutput>,
+}
+
+/// Which sessions there are, and were: what the handshake is about.
+#[derive(Debug)]
+struct SessionIdentity {
     /// Our end of the present session.
     number: u32,
     tag: u32,
@@ -89,39 +108,41 @@ pub struct Session {
     newest: (Incarnation, u32),
     /// The peer's incarnation that the router knows.
     known: Option<Incarnation>,
-    /// The largest segment that the path carries; `None` while there is no path.
-    path: Option<usize>,
-    /// By class, as all arrays here.
-    streams: [StreamState; TrafficClass::COUNT],
-    /// Of each stream, for control overtakes the others on its way.
-    rtt: [RttEstimator; TrafficClass::COUNT],
-    retransmit_at: [Option<Instant>; TrafficClass::COUNT],
-    /// Of what travels by one path.
-    congestion: CongestionControl,
-    /// Parts of control since the last one that shares what it leaves.
-    control_run: usize,
-    /// Of those that share it.
-    turns: WeightedTurns,
-    /// Since when the peer owes an answer, or has no path.
-    waiting_since: Option<Instant>,
     /// What had been received in the last session that ended.
     before: Option<SessionReceipt>,
     /// What was in flight in it.
     unsettled: Option<Unsettled>,
-    pieces: Reassembly<(TrafficClass, u64)>,
-    datagrams_out: BestEffortOutbound,
-    datagrams_in: BestEffortInbound,
-    /// Of events and datagrams, which share their turns, datagrams go next.
-    is_datagrams_turn: bool,
-    /// When datagrams are taken for lost of which the peer has told nothing.
-    datagrams_lost_at: Option<Instant>,
-    replicas: DuplicateDiscard,
+}
+
+/// The path to the peer.
+#[derive(Debug)]
+struct SessionPath {
+    /// The largest segment that it carries; `None` while there is no path.
+    mtu: Option<usize>,
+    /// Of what travels by one path.
+    congestion: CongestionControl,
+    /// Since when the peer owes an answer, or has no path.
+    waiting_since: Option<Instant>,
     /// Why a router last returned a segment, since the peer's last one.
     returned: Option<UndeliveredReason>,
-    now: Instant,
-    counters: SessionCounters,
-    refusals: Refusals,
-    outputs: VecDeque<SessionOutput>,
+}
+
+/// What has arrived of the streams, and is not whole.
+#[derive(Debug)]
+struct Assembly {
+    pieces: Reassembly<(TrafficClass, u64)>,
+    replicas: DuplicateDiscard,
+}
+
+/// The messages of which the newest counts.
+#[derive(Debug)]
+struct DatagramState {
+    outbound: BestEffortOutbound,
+    inbound: BestEffortInbound,
+    /// Of events and datagrams, which share their turns, datagrams go next.
+    has_turn: bool,
+    /// When datagrams are taken for lost of which the peer has told nothing.
+    lost_at: Option<Instant>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -160,14 +181,15 @@ struct Unsettled {
 struct StreamState {
     outbound: Outbound,
     inbound: Inbound,
+    /// Of each stream by itself, for control overtakes the others on its way.
+    rtt: RttEstimator,
+    retransmit_at: Option<Instant>,
 }
 
 impl Session {
     /// Parts of control that go before one of the others that waits: control goes first, and takes
     /// no more than eight parts of nine.
     const CONTROL_RUN: usize = 8;
-    /// How long an unfinished message is kept.
-    const REASSEMBLY_TIMEOUT: Duration = Duration::from_secs(5);
     /// So many idle timeouts long a silent peer may still tell what it had received.
     const SETTLE_TIMES: u32 = 4;
     /// How often an unanswered close is sent.
@@ -176,36 +198,23 @@ impl Session {
     /// A machine without a session; it opens one when there is a path.
     pub fn new(config: SessionConfig, now: Instant) -> Self {
         let streams = [(); TrafficClass::COUNT].map(|()| StreamState::new(&config));
-        let trip = |()| RttEstimator::new(config.retransmit_min, config.retransmit_max);
-        let rtt = [(); TrafficClass::COUNT].map(trip);
-        // Pieces of two of the largest messages.
-        let assembly = config.message_max.saturating_mul(2);
-        Session {
-            state: State::Idle,
+        let identity = SessionIdentity {
             number: config.number,
             tag: 0,
             newest: (Incarnation(0), 0),
             known: None,
-            path: None,
-            streams,
-            rtt,
-            retransmit_at: [None; TrafficClass::COUNT],
-            congestion: CongestionControl::new(config.window_bytes),
-            control_run: 0,
-            turns: WeightedTurns::default(),
-            waiting_since: None,
             before: None,
             unsettled: None,
-            pieces: Reassembly::new(assembly, Self::REASSEMBLY_TIMEOUT),
-            datagrams_out: BestEffortOutbound::default(),
-            datagrams_in: BestEffortInbound::new(
-                config.channels_max,
-                Reassembly::new(assembly, Self::REASSEMBLY_TIMEOUT),
-            ),
-            is_datagrams_turn: false,
-            datagrams_lost_at: None,
-            replicas: DuplicateDiscard::default(),
-            returned: None,
+        };
+        let congestion = CongestionControl::new(config.window_bytes);
+        Session {
+            state: State::Idle,
+            identity,
+            path: SessionPath { mtu: None, congestion, waiting_since: None, returned: None },
+            streams,
+            turns: WeightedTurns::default(),
+            assembly: Assembly::new(&config),
+            datagrams: DatagramState::new(&config),
             now,
             counters: SessionCounters::default(),
             refusals: Refusals::default(),
@@ -216,20 +225,20 @@ impl Session {
 
     /// The number of the last session; a rebuilt machine must begin above it.
     pub fn number(&self) -> u32 {
-        self.number
+        self.identity.number
     }
 
-    /// Sends a message, exactly once and in the order of its strand. Its credit is given back when
+    /// Sends a message, exactly once and in the order of its key. Its credit is given back when
     /// the peer has acknowledged it, or when it comes back.
     ///
     /// # Errors
     /// [`DeliveryError::WayFull`] for a message without credit where the stream holds as much as it
-    /// may; one of control ends the session. [`DeliveryError::TooLargeForSession`], [`DeliveryError::Unreachable`],
-    /// [`DeliveryError::Stopped`] after [`handle_close`](Session::handle_close). The message comes
-    /// back.
+    /// may; one of control ends the session. [`DeliveryError::TooLargeForSession`],
+    /// [`DeliveryError::Unreachable`], [`DeliveryError::Stopped`] after
+    /// [`handle_close`](Session::handle_close). The message comes back.
     pub fn handle_send_along(
         &mut self,
-        (stream, strand): (TrafficClass, OrderingKey),
+        (stream, key): (TrafficClass, OrderingKey),
         message: impl Into<GatherBuffer>,
         credit: Option<Credit>,
         now: Instant,
@@ -246,13 +255,13 @@ impl Session {
             }
             return Err((self.way_full(stream), bytes.into_bytes()));
         }
-        outbound.push(strand, OutboundMessage { bytes, credit });
-        self.waiting_since.get_or_insert(now);
+        outbound.push(key, OutboundMessage { bytes, credit });
+        self.path.waiting_since.get_or_insert(now);
         Ok(())
     }
 
-    /// Sends a message once, if at all: of one channel, the newest that arrives counts, and one that
-    /// still waits for the path gives way to the next.
+    /// Sends a message once, if at all: of one channel, the newest that arrives counts, and one
+    /// that still waits for the path gives way to the next.
     ///
     /// # Errors
     /// [`DeliveryError::Restarting`] while there is no session yet,
@@ -267,17 +276,17 @@ impl Session {
     ) -> Result<(), Refused> {
         self.now = now;
         let message = self.check(message.into())?;
-        let (State::Open { peer }, Some(capacity)) = (self.state, self.path) else {
+        let (State::Open { peer }, Some(capacity)) = (self.state, self.path.mtu) else {
             return Err((DeliveryError::Restarting, message.into_bytes()));
         };
         let limit = BestEffortOutbound::most(capacity, !self.is_narrow());
         if message.len() > limit {
             return Err((DeliveryError::TooLargeForSession { limit }, message.into_bytes()));
         }
-        if self.datagrams_out.bytes() + message.len() > self.config.buffer_bytes {
+        if self.datagrams.outbound.bytes() + message.len() > self.config.buffer_bytes {
             return Err((self.way_full(TrafficClass::Event), message.into_bytes()));
         }
-        self.datagrams_out.push(channel, message);
+        self.datagrams.outbound.push(channel, message);
         // While the path bears it, nothing waits for something newer.
         while self.may_send_data() && self.transmit_datagram(peer.tag) {}
         Ok(())
@@ -303,13 +312,12 @@ impl Session {
     /// acknowledged. `mtu` is the largest segment that the path carries.
     pub fn handle_path(&mut self, mtu: usize, now: Instant) {
         self.now = now;
-        self.path = Some(mtu);
+        self.path.mtu = Some(mtu);
         let narrow = self.is_narrow();
-        let enter = if narrow { RttEstimator::enter_narrow_path } else { RttEstimator::enter_path };
-        self.rtt.iter_mut().for_each(enter);
-        self.congestion.enter_path(mtu, narrow);
-        self.datagrams_out.handle_path();
-        self.datagrams_lost_at = None;
+        self.streams.iter_mut().for_each(|stream| stream.rtt.enter_path(narrow));
+        self.path.congestion.enter_path(mtu, narrow);
+        self.datagrams.outbound.handle_path();
+        self.datagrams.lost_at = None;
         match self.state {
             State::Idle => self.open(None),
             State::Opening { peer, pause, .. } => {
@@ -317,11 +325,11 @@ impl Session {
             }
             State::Open { .. } | State::Closing { .. } => {
                 let waits = self.streams.iter().any(|stream| !stream.outbound.is_empty());
-                self.waiting_since = waits.then_some(now);
+                self.path.waiting_since = waits.then_some(now);
                 for stream in TrafficClass::ALL {
                     if self.streams[stream as usize].outbound.lose_all() {
                         let due = now + self.retransmit_timeout(stream);
-                        self.retransmit_at[stream as usize] = Some(due);
+                        self.streams[stream as usize].retransmit_at = Some(due);
                     }
                 }
             }
@@ -332,20 +340,20 @@ impl Session {
     /// The router knows no path any more. The session waits for one for `idle_timeout`.
     pub fn handle_no_path(&mut self, now: Instant) {
         self.now = now;
-        self.path = None;
-        self.datagrams_out.handle_no_path();
-        self.datagrams_lost_at = None;
-        self.retransmit_at = [None; TrafficClass::COUNT];
-        self.waiting_since.get_or_insert(now);
+        self.path.mtu = None;
+        self.datagrams.outbound.handle_no_path();
+        self.datagrams.lost_at = None;
+        self.streams.iter_mut().for_each(|stream| stream.retransmit_at = None);
+        self.path.waiting_since.get_or_insert(now);
     }
 
     /// The router reports the peer's present incarnation. Sessions with any other are over,
     /// whichever number is greater.
     pub fn handle_incarnation(&mut self, incarnation: Incarnation, now: Instant) {
         self.now = now;
-        self.known = Some(incarnation);
-        if self.newest.0 != incarnation {
-            self.newest = (incarnation, 0);
+        self.identity.known = Some(incarnation);
+        if self.identity.newest.0 != incarnation {
+            self.identity.newest = (incarnation, 0);
             self.settle(incarnation, None);
             self.end_with_old_peer(incarnation);
         }
@@ -372,27 +380,32 @@ impl Session {
         self.now = now;
         if matches!(self.state, State::Open { .. }) {
             // The peer's own tag is what it knows this session by.
-            self.transmit(PacketPriority::Control, Segment::Reset { tag: self.tag });
+            self.transmit(PacketPriority::Control, Segment::Reset { tag: self.identity.tag });
             self.end(self.unreachable());
         }
     }
 
     /// Takes out what was not acknowledged, and whether some of it was sent, when this machine is
-    /// about to be replaced.
+    /// about to be replaced. What it has returned and nothing has polled comes first.
     pub fn take_unacknowledged(&mut self) -> Vec<(TrafficClass, Bytes, bool)> {
-        let unsettled = self.unsettled.take().into_iter().flat_map(|unsettled| unsettled.messages);
+        let returned = std::mem::take(&mut self.outputs).into_iter().filter_map(|output| {
+            let SessionOutput::Returned { stream, message, sent, .. } = output else { return None };
+            Some((stream, message, sent))
+        });
+        let unsettled =
+            self.identity.unsettled.take().into_iter().flat_map(|unsettled| unsettled.messages);
         let unsettled = unsettled.map(|(stream, _, message)| (stream, message, true));
         let held = TrafficClass::ALL.into_iter().flat_map(|stream| {
             let messages = self.streams[stream as usize].outbound.take_all();
             messages.map(move |(message, sent)| (stream, message, sent))
         });
-        unsettled.chain(held).collect()
+        returned.chain(unsettled).chain(held).collect()
     }
 
     /// A segment from the peer's node arrived.
     pub fn handle_segment(&mut self, segment: Bytes, now: Instant) {
         self.now = now;
-        self.returned = None;
+        self.path.returned = None;
         match Segment::decode(segment) {
             Ok(Segment::Open(open)) => self.handle_open(open),
             Ok(Segment::Reset { tag }) => self.handle_reset(tag),
@@ -404,15 +417,11 @@ impl Session {
                 if let Some(ack) = datagrams {
                     self.handle_datagram_ack(ack);
                 }
-                for (stream, ack) in ACKNOWLEDGED_TOGETHER.into_iter().zip(streams) {
+                for (stream, ack) in TrafficClass::ALL.into_iter().zip(streams) {
                     if let Some(ack) = ack {
                         self.handle_ack(stream, &ack);
                     }
                 }
-                self.close_when_done();
-            }
-            Ok(Segment::AcknowledgeOne { tag, stream, ack }) if self.meant_for_us(tag) => {
-                self.handle_ack(stream.class(), &ack);
                 self.close_when_done();
             }
             Ok(Segment::Close { tag }) if self.meant_for_us(tag) => self.handle_peers_close(),
@@ -425,8 +434,7 @@ impl Session {
             Ok(
                 Segment::Data(Data { tag, .. })
                 | Segment::Datagram(Datagram { tag, .. })
-                | Segment::Acknowledge { tag, .. }
-                | Segment::AcknowledgeOne { tag, .. },
+                | Segment::Acknowledge { tag, .. },
             ) => {
                 self.refusals.stale += 1;
                 self.transmit(PacketPriority::Control, Segment::Reset { tag });
@@ -437,7 +445,7 @@ impl Session {
 
     /// Is it for the present session? Then the peer knows our tag, and the session is open.
     fn meant_for_us(&mut self, tag: u32) -> bool {
-        if tag != self.tag {
+        if tag != self.identity.tag {
             return false;
         }
         match self.state {
@@ -455,7 +463,7 @@ impl Session {
 
     fn record_receipt(&mut self) {
         let waits = self.streams.iter().any(|stream| !stream.outbound.is_empty());
-        self.waiting_since = (waits || self.path.is_none()).then_some(self.now);
+        self.path.waiting_since = (waits || self.path.mtu.is_none()).then_some(self.now);
     }
 
     /// Ends the present session; opens the next one if there is a path.
@@ -463,19 +471,19 @@ impl Session {
         let (State::Open { peer } | State::Closing { peer, .. }) = self.state else { return };
         let closing = matches!(self.state, State::Closing { .. });
         let next = std::array::from_fn(|stream| self.streams[stream].inbound.next());
-        self.before = Some(SessionReceipt { tag: peer.tag, next });
+        self.identity.before = Some(SessionReceipt { tag: peer.tag, next });
         let may_tell = !closing && matches!(why, DeliveryError::Unreachable { .. });
         let unsettled = may_tell.then(|| self.take_unsettled(peer));
         self.return_unacknowledged(&why);
         if let Some(unsettled) = unsettled.filter(|unsettled| !unsettled.messages.is_empty()) {
-            self.unsettled = Some(unsettled);
-            self.waiting_since = Some(self.now);
+            self.identity.unsettled = Some(unsettled);
+            self.path.waiting_since = Some(self.now);
         }
         let incarnation = peer.incarnation;
         self.outputs.push_back(SessionOutput::Ended { incarnation, why });
         if closing {
             self.state = State::Closed;
-        } else if self.path.is_some() {
+        } else if self.path.mtu.is_some() {
             self.open(None);
         } else {
             self.state = State::Idle;
@@ -484,27 +492,21 @@ impl Session {
 
     /// Returns every unacknowledged message and begins from nothing.
     fn return_unacknowledged(&mut self, why: &DeliveryError) {
-        self.settle(self.newest.0, None);
+        self.settle(self.identity.newest.0, None);
         for stream in TrafficClass::ALL {
             let state = &mut self.streams[stream as usize];
             for (message, sent) in state.outbound.take_all() {
                 let why = why.clone();
                 self.outputs.push_back(SessionOutput::Returned { stream, message, why, sent });
             }
-            *state = StreamState::new(&self.config);
+            state.rtt.progress();
+            *state = StreamState { rtt: state.rtt, ..StreamState::new(&self.config) };
         }
         self.counters = self.counters();
-        let assembly = self.config.message_max.saturating_mul(2);
-        self.pieces = Reassembly::new(assembly, Self::REASSEMBLY_TIMEOUT);
-        let pieces = Reassembly::new(assembly, Self::REASSEMBLY_TIMEOUT);
-        self.datagrams_in = BestEffortInbound::new(self.config.channels_max, pieces);
-        self.datagrams_out = BestEffortOutbound::default();
-        self.datagrams_lost_at = None;
-        self.replicas = DuplicateDiscard::default();
-        self.congestion.restart(self.now);
-        self.retransmit_at = [None; TrafficClass::COUNT];
-        self.waiting_since = None;
-        self.rtt.iter_mut().for_each(RttEstimator::progress);
+        self.assembly = Assembly::new(&self.config);
+        self.datagrams = DatagramState::new(&self.config);
+        self.path.congestion.restart(self.now);
+        self.path.waiting_since = None;
     }
 
     fn transmit(&mut self, class: PacketPriority, segment: Segment) {
@@ -512,19 +514,20 @@ impl Session {
         self.outputs.push_back(SessionOutput::Transmit { class, segment, everywhere: false });
     }
 
-    fn transmit_everywhere(&mut self, class: PacketPriority, segment: Segment) {
-        let segment = segment.parcel();
-        self.outputs.push_back(SessionOutput::Transmit { class, segment, everywhere: true });
+    /// Transmits what belongs to one stream; a copy of what is redundant goes over every path.
+    fn transmit_for(&mut self, stream: TrafficClass, class: PacketPriority, segment: Segment) {
+        let (segment, everywhere) = (segment.parcel(), stream == TrafficClass::Redundant);
+        self.outputs.push_back(SessionOutput::Transmit { class, segment, everywhere });
     }
 
     /// The peer has owed an answer, or had no path, for too long.
     fn give_up(&mut self) {
-        self.waiting_since = None;
+        self.path.waiting_since = None;
         match self.state {
             State::Open { .. } | State::Closing { .. } => self.end(self.unreachable()),
             State::Opening { .. } | State::Idle => {
                 self.return_unacknowledged(&self.unreachable());
-                if self.path.is_none() {
+                if self.path.mtu.is_none() {
                     self.state = State::Idle;
                 }
             }
@@ -538,7 +541,28 @@ impl StreamState {
         StreamState {
             outbound: Outbound::new(config.window),
             inbound: Inbound::new(config.window, config.message_max),
+            rtt: RttEstimator::new(config.retransmit_min, config.retransmit_max),
+            retransmit_at: None,
         }
+    }
+}
+
+/// Keeps pieces of two of the largest messages, for five seconds.
+fn reassembly<K: Ord + Copy>(config: &SessionConfig) -> Reassembly<K> {
+    Reassembly::new(config.message_max.saturating_mul(2), Duration::from_secs(5))
+}
+
+impl Assembly {
+    fn new(config: &SessionConfig) -> Self {
+        Assembly { pieces: reassembly(config), replicas: DuplicateDiscard::default() }
+    }
+}
+
+impl DatagramState {
+    fn new(config: &SessionConfig) -> Self {
+        let inbound = BestEffortInbound::new(config.channels_max, reassembly(config));
+        let outbound = BestEffortOutbound::default();
+        DatagramState { outbound, inbound, has_turn: false, lost_at: None }
     }
 }
 
@@ -571,7 +595,7 @@ impl Machine for Session {
         const STALL: Duration = Duration::from_millis(100);
         let late = self.poll_timeout().map_or(Duration::ZERO, |due| now - due);
         if late > STALL {
-            self.waiting_since = self.waiting_since.map(|since| since + late);
+            self.path.waiting_since = self.path.waiting_since.map(|since| since + late);
         }
         self.now = now;
         self.fire_due(now);

@@ -11,7 +11,7 @@ pub enum SessionOutput {
     Transmit {
         /// How urgent it is.
         class: PacketPriority,
-        /// The segment.
+        /// The encoded segment.
         segment: GatherBuffer,
         /// A copy is to go over every way that there is.
         everywhere: bool,
@@ -20,19 +20,21 @@ pub enum SessionOutput {
     Opened {
         /// With this incarnation of the peer.
         incarnation: Incarnation,
+        /// This end's number of it. A later output may already be of the next session.
+        number: u32,
     },
     /// A message has arrived, once and in its order.
     Message {
         /// On which stream.
         stream: TrafficClass,
-        /// The message.
+        /// The message as the peer sent it.
         message: Bytes,
     },
     /// A best-effort message has arrived, newer than all before it on its channel.
     Newest {
         /// On which channel.
         channel: u32,
-        /// The message.
+        /// The message as the peer sent it.
         message: Bytes,
     },
     /// A message was not acknowledged before its session ended. Those in flight to a silent peer
@@ -40,9 +42,9 @@ pub enum SessionOutput {
     Returned {
         /// The stream that it was for.
         stream: TrafficClass,
-        /// The message.
+        /// The message as it was given to the session.
         message: Bytes,
-        /// Why.
+        /// Why the message is returned.
         why: DeliveryError,
         /// Some of it was sent, so that it may have arrived; otherwise it has not.
         sent: bool,
@@ -51,7 +53,7 @@ pub enum SessionOutput {
     Ended {
         /// Which incarnation of the peer it was with.
         incarnation: Incarnation,
-        /// Why.
+        /// Why the session is over.
         why: DeliveryError,
     },
     /// The peer speaks another version; the two cannot talk until one is updated.

@@ -1,4 +1,4 @@
-//! What waits to be cut into parts: each strand in its order.
+//! What waits to be cut into parts: each key in its order.
 
 use crate::net::session::ordering_key::OrderingKey;
 use crate::sorted::SortedMap;
@@ -13,13 +13,13 @@ pub(crate) struct OutboundMessage {
     pub(crate) credit: Option<Credit>,
 }
 
-/// Messages that wait. Each strand keeps its order; of each only the first is ever looked at, so
+/// Messages that wait. Each key keeps its order; of each only the first is ever looked at, so
 /// that however much waits in one, nothing of another has to be found behind it.
 #[derive(Debug, Default)]
 pub(super) struct SendQueue {
-    /// By strand, in the order of arrival there.
+    /// By key, in the order of arrival there.
     messages: SortedMap<(OrderingKey, u64), OutboundMessage>,
-    /// The first of each strand, by arrival.
+    /// The first of each key, by arrival.
     heads: SortedMap<u64, OrderingKey>,
     arrivals: u64,
 }
@@ -33,32 +33,32 @@ impl SendQueue {
         self.messages.is_empty()
     }
 
-    pub(super) fn push(&mut self, strand: OrderingKey, message: OutboundMessage) {
+    pub(super) fn push(&mut self, key: OrderingKey, message: OutboundMessage) {
         let number = self.arrivals;
         self.arrivals += 1;
-        if self.head(strand).is_none() {
-            self.heads.insert(number, strand);
+        if self.head(key).is_none() {
+            self.heads.insert(number, key);
         }
-        self.messages.insert((strand, number), message);
+        self.messages.insert((key, number), message);
     }
 
-    /// The first of those that arrived at `from` or later and are the first of their strand.
+    /// The first of those that arrived at `from` or later and are the first of their key.
     pub(super) fn first(
         &self,
         from: RangeFrom<u64>,
     ) -> Option<(u64, OrderingKey, &OutboundMessage)> {
-        let (&number, &strand) = self.heads.range(from).next()?;
-        self.messages.get(&(strand, number)).map(|message| (number, strand, message))
+        let (&number, &key) = self.heads.range(from).next()?;
+        self.messages.get(&(key, number)).map(|message| (number, key, message))
     }
 
-    /// Takes out what is the first of its strand: the next of it is so then.
+    /// Takes out what is the first of its key: the next of it is so then.
     pub(super) fn take(&mut self, number: u64) -> Option<(OrderingKey, OutboundMessage)> {
-        let strand = self.heads.remove(&number)?;
-        let message = self.messages.remove(&(strand, number))?;
-        if let Some(next) = self.head(strand) {
-            self.heads.insert(next, strand);
+        let key = self.heads.remove(&number)?;
+        let message = self.messages.remove(&(key, number))?;
+        if let Some(next) = self.head(key) {
+            self.heads.insert(next, key);
         }
-        Some((strand, message))
+        Some((key, message))
     }
 
     /// All of them, in the order in which they arrived.
@@ -67,8 +67,8 @@ impl SendQueue {
         by_arrival.collect::<SortedMap<_, _>>().into_values()
     }
 
-    fn head(&self, strand: OrderingKey) -> Option<u64> {
-        let all = (strand, 0)..=(strand, u64::MAX);
+    fn head(&self, key: OrderingKey) -> Option<u64> {
+        let all = (key, 0)..=(key, u64::MAX);
         self.messages.range(all).next().map(|((_, number), _)| *number)
     }
 }
@@ -86,16 +86,16 @@ mod tests {
     fn each_strand_keeps_its_order_and_shows_only_its_first() {
         let (map, leg) = (OrderingKey::Object(1), OrderingKey::Object(2));
         let mut queue = SendQueue::default();
-        for (strand, text) in [(map, "m1"), (map, "m2"), (leg, "l1"), (map, "m3"), (leg, "l2")] {
-            queue.push(strand, parcel(text));
+        for (key, text) in [(map, "m1"), (map, "m2"), (leg, "l1"), (map, "m3"), (leg, "l2")] {
+            queue.push(key, parcel(text));
         }
         let first =
-            |queue: &SendQueue, from| queue.first(from).map(|(number, strand, _)| (number, strand));
+            |queue: &SendQueue, from| queue.first(from).map(|(number, key, _)| (number, key));
 
         assert_eq!(first(&queue, 0..), Some((0, map)));
-        assert_eq!(first(&queue, 1..), Some((2, leg)), "what follows in a strand is not looked at");
+        assert_eq!(first(&queue, 1..), Some((2, leg)), "what follows in a key is not looked at");
         let take = |queue: &mut SendQueue, number| {
-            queue.take(number).map(|(strand, message)| (strand, message.bytes))
+            queue.take(number).map(|(key, message)| (key, message.bytes))
         };
         let text = |text: &'static str| Bytes::from_static(text.as_bytes()).into();
         assert_eq!(take(&mut queue, 1), None, "nor taken");

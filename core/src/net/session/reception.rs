@@ -16,13 +16,13 @@ impl Session {
             self.handle_ack(stream, &ack);
         }
         let copied = stream == TrafficClass::Redundant && !again && piece.is_none();
-        if copied && self.replicas.handle(sequence) == duplicates::CopyStatus::Replica {
+        if copied && self.assembly.replicas.handle(sequence) == duplicates::CopyStatus::Replica {
             return self.close_when_done();
         }
         let payload = payload.into_bytes();
         let whole = match piece {
             Some(piece) if self.streams[stream as usize].inbound.expects(sequence) => {
-                self.pieces.handle((stream, sequence), piece, payload, self.now)
+                self.assembly.pieces.handle((stream, sequence), piece, payload, self.now)
             }
             _ => Some(payload),
         };
@@ -41,10 +41,10 @@ impl Session {
                     // The peer is broken; whatever it says next cannot be trusted to be in order.
                     self.refusals.count(&error);
                     let State::Open { peer } = self.state else { return };
-                    let reset = Segment::Reset { tag: self.tag };
+                    let reset = Segment::Reset { tag: self.identity.tag };
                     self.transmit(PacketPriority::Control, reset);
-                    self.newest =
-                        self.newest.max((peer.incarnation, peer.number.saturating_add(1)));
+                    self.identity.newest =
+                        self.identity.newest.max((peer.incarnation, peer.number.saturating_add(1)));
                     // Ours were good: they come back because of what it sent.
                     let reason = format!(
                         "it breaks the protocol of sessions ({error}): update one of the two"
@@ -70,7 +70,7 @@ impl Session {
     pub(super) fn handle_datagram(&mut self, datagram: Datagram) {
         let channel = datagram.channel;
         self.counters.bytes_received += datagram.payload.len() as u64;
-        match self.datagrams_in.handle(datagram, self.now, self.ack_delay()) {
+        match self.datagrams.inbound.handle(datagram, self.now, self.ack_delay()) {
             DatagramStatus::Newest(message) => {
                 self.outputs.push_back(SessionOutput::Newest { channel, message });
             }

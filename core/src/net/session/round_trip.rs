@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 /// The estimator of one session.
-#[derive(Debug)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct RttEstimator {
     smoothed: Option<Duration>,
     deviation: Duration,
@@ -57,15 +57,10 @@ impl RttEstimator {
         }
     }
 
-    pub(crate) fn enter_path(&mut self) {
-        self.narrow = false;
-        self.progress();
-    }
-
     /// On a narrow one a single segment may take long.
-    pub(crate) fn enter_narrow_path(&mut self) {
-        self.enter_path();
-        self.narrow = true;
+    pub(crate) fn enter_path(&mut self, narrow: bool) {
+        self.narrow = narrow;
+        self.progress();
     }
 
     pub(crate) fn timeout(&self) -> Duration {
@@ -73,8 +68,8 @@ impl RttEstimator {
             true => (Self::INITIAL_NARROW, Self::SHORTEST_NARROW, Self::LONGEST_NARROW),
             false => (Self::INITIAL, self.shortest, self.longest),
         };
-        // Steady round trips say nothing of the next one, which a busy computer or a radio delays: the
-        // shortest timeout comes on top of them (TCP in Linux does the same with 200 ms).
+        // Steady round trips say nothing of the next one, which a busy computer or a radio delays:
+        // the shortest timeout comes on top of them (TCP in Linux does the same with 200 ms).
         let least = if self.narrow { Duration::ZERO } else { shortest };
         let margin = (4 * self.deviation).max(least);
         let base = self.smoothed.map_or(initial, |smoothed| smoothed + margin).max(shortest);
@@ -121,7 +116,7 @@ mod tests {
     #[test]
     fn on_a_narrow_path_no_small_message_shortens_it_and_its_doublings_last_until_a_measurement() {
         let mut trip = RttEstimator::new(20 * MS, 500 * MS);
-        trip.enter_narrow_path();
+        trip.enter_path(true);
         assert_eq!(trip.timeout(), 1000 * MS);
         for _ in 0..100 {
             trip.measure(30 * MS);

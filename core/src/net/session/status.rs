@@ -1,7 +1,6 @@
 //! The status of a session, for display.
 
 use super::duplicates::DuplicateDiscard;
-use super::round_trip::RttEstimator;
 use super::{Session, SessionCounters, State};
 use crate::Incarnation;
 use crate::net::wire::Refusals;
@@ -76,19 +75,19 @@ impl Session {
 
     /// The smoothed round trip to the peer.
     pub fn round_trip(&self) -> Option<Duration> {
-        self.rtt.iter().find_map(RttEstimator::smoothed)
+        self.streams.iter().find_map(|stream| stream.rtt.smoothed())
     }
 
     /// What it did so far.
     pub fn counters(&self) -> SessionCounters {
-        let unfinished = self.pieces.given_up + self.datagrams_in.unfinished();
-        let DuplicateDiscard { dropped, missed, alone, .. } = self.replicas;
+        let unfinished = self.assembly.pieces.given_up + self.datagrams.inbound.unfinished();
+        let DuplicateDiscard { dropped, missed, alone, .. } = self.assembly.replicas;
         SessionCounters {
             incomplete: self.counters.incomplete + unfinished,
             replicas: self.counters.replicas + dropped,
             missed: self.counters.missed + missed,
             alone: self.counters.alone + alone,
-            replaced: self.counters.replaced + self.datagrams_out.replaced,
+            replaced: self.counters.replaced + self.datagrams.outbound.replaced,
             ..self.counters
         }
     }
@@ -102,7 +101,7 @@ impl Session {
     pub fn status(&self) -> SessionStatus {
         let state = match self.state {
             State::Idle => SessionState::Away,
-            State::Opening { .. } if self.path.is_none() => SessionState::Away,
+            State::Opening { .. } if self.path.mtu.is_none() => SessionState::Away,
             State::Opening { .. } => SessionState::Opening,
             State::Open { .. } => SessionState::Open,
             State::Closing { .. } => SessionState::Closing,
@@ -115,9 +114,9 @@ impl Session {
             incarnation: self.peer(),
             round_trip: self.round_trip(),
             unacknowledged: held.sum(),
-            in_flight: parts.sum::<usize>() + self.datagrams_out.flying().0,
-            window: self.congestion.window(),
-            queueing: self.congestion.queueing(),
+            in_flight: parts.sum::<usize>() + self.datagrams.outbound.flying().0,
+            window: self.path.congestion.window(),
+            queueing: self.path.congestion.queueing(),
             counters: self.counters(),
             refusals: self.refusals(),
         }

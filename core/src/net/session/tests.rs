@@ -9,7 +9,7 @@ mod settling;
 
 use super::*;
 use crate::NodeName;
-use crate::net::wire::segment::{Ack, DelayTicks, OpenSegment, SeparateStream};
+use crate::net::wire::segment::{Ack, DelayTicks, OpenSegment};
 
 const MS: Duration = Duration::from_millis(1);
 
@@ -108,7 +108,10 @@ impl Pair {
 
     fn drain(&mut self) {
         for end in 0..2 {
-            while let Some(output) = self.ends[end].poll_output() {
+            while let Some(mut output) = self.ends[end].poll_output() {
+                if let SessionOutput::Opened { number, .. } = &mut output {
+                    assert_eq!(std::mem::take(number), self.ends[end].number());
+                }
                 let SessionOutput::Transmit { class, segment, .. } = output else {
                     self.outputs[end].push(output);
                     continue;
@@ -157,7 +160,7 @@ impl Session {
 }
 
 fn opened(incarnation: u64) -> SessionOutput {
-    SessionOutput::Opened { incarnation: Incarnation(incarnation) }
+    SessionOutput::Opened { incarnation: Incarnation(incarnation), number: 0 }
 }
 
 fn message(message: Bytes) -> SessionOutput {

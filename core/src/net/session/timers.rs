@@ -1,6 +1,5 @@
 //! When a session acts by itself.
 
-use super::round_trip::RttEstimator;
 use super::{Session, State};
 use crate::timer::Timers;
 use crate::{Instant, TrafficClass};
@@ -16,8 +15,8 @@ pub(crate) enum SessionTimer {
     /// Sends again what is in flight of a stream: a retransmission timeout after its first chunk
     /// there (RFC 6298).
     Loss(TrafficClass),
-    /// Takes datagrams for lost of which the peer has told nothing: a retransmission timeout of events
-    /// after the first of them.
+    /// Takes datagrams for lost of which the peer has told nothing: a retransmission timeout of
+    /// events after the first of them.
     LossDatagrams,
     /// Repeats the handshake while there is a path (TCP: SYN timer).
     OpenRetransmit,
@@ -55,15 +54,16 @@ impl Timers for Session {
         match (timer, self.state) {
             (SessionTimer::Idle, _) => {
                 // Where an answer takes long, one that is lost is asked for twice before that.
-                let longest = self.rtt.iter().map(RttEstimator::timeout).max();
-                let answers = longest.filter(|_| self.path.is_some()).unwrap_or_default() * 3;
-                let times = if self.unsettled.is_some() { Session::SETTLE_TIMES } else { 1 };
-                Some(self.waiting_since? + (self.config.idle_timeout * times).max(answers))
+                let longest = self.streams.iter().map(|stream| stream.rtt.timeout()).max();
+                let answers = longest.filter(|_| self.path.mtu.is_some()).unwrap_or_default() * 3;
+                let times =
+                    if self.identity.unsettled.is_some() { Session::SETTLE_TIMES } else { 1 };
+                Some(self.path.waiting_since? + (self.config.idle_timeout * times).max(answers))
             }
-            (SessionTimer::Loss(stream), _) => self.retransmit_at[stream as usize],
-            (SessionTimer::LossDatagrams, _) => self.datagrams_lost_at,
+            (SessionTimer::Loss(stream), _) => self.streams[stream as usize].retransmit_at,
+            (SessionTimer::LossDatagrams, _) => self.datagrams.lost_at,
             (SessionTimer::OpenRetransmit, State::Opening { again_at, .. }) => {
-                self.path.map(|_| again_at)
+                self.path.mtu.map(|_| again_at)
             }
             (SessionTimer::CloseRetransmit, State::Closing { again_at, .. }) => again_at,
             (SessionTimer::OpenRetransmit | SessionTimer::CloseRetransmit, _) => None,

@@ -8,6 +8,8 @@ use crate::TrafficClass;
 pub(super) struct WeightedTurns {
     /// What each is owed, in the order of the weights; together they are zero.
     owed: [i32; TrafficClass::WEIGHTED.len()],
+    /// Parts of control since the last one that shares what it leaves.
+    pub(super) control_run: usize,
 }
 
 impl WeightedTurns {

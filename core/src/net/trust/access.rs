@@ -23,7 +23,7 @@ pub struct AccessPolicy {
 /// A right that a peer does not have.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct AccessDenied {
-    /// The node.
+    /// The node that lacks the right.
     pub peer: NodeName,
     /// What it wanted to do.
     pub verb: Verb,
@@ -47,7 +47,6 @@ pub(in crate::net) enum BindingNeeds {
     Membership,
     /// An object of the same node: no peer.
     OwnNode,
-    /// This right.
     Right(Verb),
     /// This right at this node.
     RightAtNode(Verb),
@@ -202,10 +201,10 @@ impl From<&AccessDenied> for DeliveryError {
 
 /// So many different refusals of one peer are remembered at most; the oldest is forgotten first.
 const ROWS_MAX: usize = 128;
-/// So many refusals of one peer are told within [`REFUSAL_REMINDER`]; further ones are only
+/// So many refusals of one peer are reported within [`REFUSAL_REMINDER`]; further ones are only
 /// counted.
-const TOLD_MAX: u32 = 32;
-/// A refusal that goes on is told again after this time.
+const REPORTED_MAX: u32 = 32;
+/// A refusal that goes on is reported again after this time.
 pub const REFUSAL_REMINDER: Duration = Duration::from_secs(60);
 
 /// What peers were refused: which, how often, and when last. Times are monotonic.
@@ -218,8 +217,8 @@ pub struct RefusalLog {
 #[derive(Clone, Debug)]
 struct PeerRefusals {
     entries: SortedMap<RefusalKey, RefusalEntry>,
-    /// Since when so many were told.
-    told: (Instant, u32),
+    /// Since when so many were reported.
+    reported: (Instant, u32),
     /// How many there were since [`RefusalLog::take_floods`].
     recent: u64,
 }
@@ -233,7 +232,7 @@ struct RefusalEntry {
     times: u64,
     first: Instant,
     last: Instant,
-    told: Instant,
+    reported: Instant,
 }
 
 /// One row of the log.
@@ -241,28 +240,28 @@ struct RefusalEntry {
 pub struct RefusalRow {
     /// What was refused to whom, the last time.
     pub denied: AccessDenied,
-    /// How often.
+    /// The number of refusals.
     pub times: u64,
-    /// When first.
+    /// When the first one happened.
     pub first: Instant,
-    /// When last.
+    /// When the last one happened.
     pub last: Instant,
 }
 
 impl RefusalLog {
-    /// A peer was refused something. Returns how often, if that is to be told: the first time, and
-    /// once a minute while it goes on; but no more than 32 times a minute of one peer.
+    /// A peer was refused something. Returns how often, if that is to be reported: the first time,
+    /// and once a minute while it goes on; but no more than 32 times a minute of one peer.
     pub fn handle_refused(&mut self, denied: AccessDenied, now: Instant) -> Option<u64> {
-        let none = || PeerRefusals { entries: SortedMap::new(), told: (now, 0), recent: 0 };
+        let none = || PeerRefusals { entries: SortedMap::new(), reported: (now, 0), recent: 0 };
         let peer = self.peers.entry(denied.peer.clone()).or_insert_with(none);
         peer.recent = peer.recent.saturating_add(1);
         let times = peer.count(denied, now)?;
-        let (since, told) = &mut peer.told;
+        let (since, reported) = &mut peer.reported;
         if now >= *since + REFUSAL_REMINDER {
-            (*since, *told) = (now, 0);
+            (*since, *reported) = (now, 0);
         }
-        *told += 1;
-        (*told <= TOLD_MAX).then_some(times)
+        *reported += 1;
+        (*reported <= REPORTED_MAX).then_some(times)
     }
 
     /// Peers that were refused so much, or more, since this was asked last.
@@ -293,8 +292,8 @@ impl PeerRefusals {
         if let Some(entry) = self.entries.get_mut(&key) {
             entry.times = entry.times.saturating_add(1);
             (entry.newest, entry.last) = (denied, now);
-            let is_due = now >= entry.told + REFUSAL_REMINDER;
-            entry.told = if is_due { now } else { entry.told };
+            let is_due = now >= entry.reported + REFUSAL_REMINDER;
+            entry.reported = if is_due { now } else { entry.reported };
             return is_due.then_some(entry.times);
         }
         if self.entries.len() >= ROWS_MAX {
@@ -302,7 +301,7 @@ impl PeerRefusals {
             let oldest = oldest.map(|(key, _)| key.clone());
             oldest.map(|key| self.entries.remove(&key));
         }
-        let entry = RefusalEntry { newest: denied, times: 1, first: now, last: now, told: now };
+        let entry = RefusalEntry { newest: denied, times: 1, first: now, last: now, reported: now };
         self.entries.insert(key, entry);
         Some(1)
     }
@@ -389,13 +388,13 @@ mod tests {
     fn a_refusal_is_told_at_first_and_once_a_minute_and_the_log_is_bounded() {
         let (mut log, start) = (RefusalLog::default(), Instant::default());
         assert_eq!(log.handle_refused(denied("arm", "base/wheels"), start), Some(1));
-        let told: Vec<_> = (1..=130)
+        let reported: Vec<_> = (1..=130)
             .filter_map(|second| {
                 let now = start + Duration::from_secs(second);
                 log.handle_refused(denied("arm", "base/wheels"), now)
             })
             .collect();
-        assert_eq!(told, [61, 121]);
+        assert_eq!(reported, [61, 121]);
         let row = log.rows().next().expect("one");
         assert_eq!((row.times, row.last - row.first), (131, Duration::from_secs(130)));
 
@@ -405,9 +404,9 @@ mod tests {
             log.handle_refused(denied("arm", &format!("o{number}")), now);
         }
         let flood = start + Duration::from_secs(10_000);
-        let told = (0..ROWS_MAX)
+        let reported = (0..ROWS_MAX)
             .filter_map(|n| log.handle_refused(denied("arm", &format!("new{n}")), flood));
-        assert_eq!(told.count(), TOLD_MAX as usize);
+        assert_eq!(reported.count(), REPORTED_MAX as usize);
         let (of_arm, others): (Vec<_>, Vec<_>) =
             log.rows().partition(|row| row.denied.peer.as_str() == "arm");
         assert_eq!((of_arm.len(), others.len()), (ROWS_MAX, 1));

@@ -26,24 +26,6 @@ impl fmt::Debug for Seed {
     }
 }
 
-/// What a key is for: the label under which it is derived.
-#[derive(Clone, Copy)]
-enum KeyUse {
-    Handshake,
-    Advertisements,
-    Roster,
-}
-
-impl KeyUse {
-    fn label(self) -> &'static str {
-        match self {
-            KeyUse::Handshake => "x25519",
-            KeyUse::Advertisements => "ed25519",
-            KeyUse::Roster => "roster",
-        }
-    }
-}
-
 impl Seed {
     /// A seed of these bytes, which the system's random source has made.
     pub fn new(random: [u8; KEY_BYTES]) -> Self {
@@ -56,34 +38,35 @@ impl Seed {
 
     /// The cryptography of the handshakes of the node that has this seed.
     pub fn handshakes(&self) -> NoiseCrypto {
-        NoiseCrypto::new(*self.derive(KeyUse::Handshake))
+        NoiseCrypto::new(*self.derive("x25519"))
     }
 
     /// The public keys of the node that has this seed.
     pub fn public_keys(&self) -> PublicKeys {
         PublicKeys {
             x25519: PublicKey(self.handshakes().public_key()),
-            ed25519: public_key(&key_pair(&self.derive(KeyUse::Advertisements))),
+            ed25519: public_key(&key_pair(&self.derive("ed25519"))),
         }
     }
 
     /// What signs the advertisements of the node that has this seed.
     pub fn advertisement_signer(&self) -> AdvertisementSigner {
-        AdvertisementSigner(key_pair(&self.derive(KeyUse::Advertisements)))
+        AdvertisementSigner(key_pair(&self.derive("ed25519")))
     }
 
     /// The public key of the robot that has this seed: it checks rosters.
     pub fn signer(&self) -> PublicKey {
-        public_key(&key_pair(&self.derive(KeyUse::Roster)))
+        public_key(&key_pair(&self.derive("roster")))
     }
 
     /// Signs the text of a roster.
     pub(super) fn sign_roster(&self, text: &[u8]) -> [u8; SIGNATURE_BYTES] {
-        signature(&key_pair(&self.derive(KeyUse::Roster)), text)
+        signature(&key_pair(&self.derive("roster")), text)
     }
 
-    fn derive(&self, purpose: KeyUse) -> Zeroizing<[u8; KEY_BYTES]> {
-        derived_key(&self.0, purpose.label())
+    /// The key for one use, whose label keeps it apart from the others.
+    fn derive(&self, label: &str) -> Zeroizing<[u8; KEY_BYTES]> {
+        derived_key(&self.0, label)
     }
 }
 
@@ -131,7 +114,7 @@ impl fmt::Debug for PublicKey {
 }
 
 impl PublicKey {
-    /// Its bytes.
+    /// Returns the key's bytes.
     pub fn bytes(&self) -> &[u8; KEY_BYTES] {
         &self.0
     }
@@ -150,7 +133,7 @@ impl PublicKey {
 /// The public keys of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PublicKeys {
-    /// For handshakes.
+    /// The X25519 key, for handshakes.
     pub x25519: PublicKey,
     /// Checks what the node has signed.
     pub ed25519: PublicKey,

@@ -20,7 +20,7 @@ const TITLE: &str = "blastema incarnation 1";
 /// The last incarnation of a node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct IncarnationFile {
-    /// The node.
+    /// The node that the file belongs to.
     pub node: NodeName,
     /// Its last incarnation.
     pub incarnation: Incarnation,

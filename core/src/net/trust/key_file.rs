@@ -24,9 +24,9 @@ const ROBOT_TITLE: &str = "blastema robot key 1";
 /// The file of a node's key. Its robot has a name like a node's.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct KeyFile {
-    /// The robot.
+    /// The robot that the node belongs to.
     pub robot: NodeName,
-    /// The node.
+    /// The node that the key belongs to.
     pub node: NodeName,
     /// The node's secret.
     pub seed: Seed,

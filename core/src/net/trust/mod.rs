@@ -20,8 +20,8 @@
 //! | `access` | the rights of a roster's nodes at one of them, and what they were refused |
 //!
 //! A node reads its key and the roster when it starts, and seals its networks with them. The peer
-//! protocol, actuators, variables and names of the robot ask `access`. What this module does not do:
-//! it reads no file and no clock, and takes randomness as an argument.
+//! protocol, actuators, variables and names of the robot ask `access`. What this module does not
+//! do: it reads no file and no clock, and takes randomness as an argument.
 
 pub mod access;
 pub mod beacon;

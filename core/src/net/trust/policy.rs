@@ -24,7 +24,7 @@ macro_rules! words {
             /// All of them.
             pub const ALL: &[$name] = &[$($name::$variant),*];
 
-            /// The word.
+            /// Returns the word that stands for it in a file.
             pub fn word(self) -> &'static str {
                 match self { $($name::$variant => $word),* }
             }
@@ -63,17 +63,17 @@ words! {
 words! {
     /// What one node may do at another.
     Verb {
-        /// Send requests.
+        /// Send requests to an object.
         Ask = "ask",
-        /// Send messages.
+        /// Send messages without reply to an object.
         Tell = "tell",
         /// Receive a topic's events.
         Listen = "listen",
         /// Send events to listeners of a topic.
         Publish = "publish",
-        /// Read variables.
+        /// Read an object's variables.
         Read = "read",
-        /// Write variables.
+        /// Write an object's variables.
         Set = "set",
         /// Claim the right to command an actuator.
         Lease = "lease",
@@ -157,7 +157,7 @@ pub struct PolicyLine {
 /// What the policy says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Permission {
-    /// It may.
+    /// The policy allows it.
     Allowed,
     /// It may not: this policy line, from 1 on, gives it to others.
     RefusedByLine(usize),

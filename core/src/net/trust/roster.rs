@@ -30,7 +30,7 @@ const TITLE: &str = "blastema roster 1";
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct NodeRoster {
-    /// The robot.
+    /// The name of the robot.
     pub robot: NodeName,
     /// Rises with each change.
     pub serial: u64,
@@ -41,11 +41,11 @@ pub struct NodeRoster {
 /// One node of a roster.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RosterNode {
-    /// Its name.
+    /// The node's name.
     pub name: NodeName,
     /// Its public keys.
     pub keys: PublicKeys,
-    /// Its role.
+    /// The node's role.
     pub role: Role,
 }
 
@@ -77,12 +77,12 @@ impl NodeRoster {
         Ok(roster)
     }
 
-    /// Its nodes.
+    /// Returns the robot's nodes.
     pub fn nodes(&self) -> &[RosterNode] {
         &self.nodes
     }
 
-    /// Its policy.
+    /// Returns the lines of the policy, in order.
     pub fn policy(&self) -> &[PolicyLine] {
         &self.policy
     }

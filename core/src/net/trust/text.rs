@@ -81,9 +81,9 @@ pub enum TrustProblem {
          its number: give the node another name"
     )]
     NumberTaken {
-        /// The number.
+        /// The number that both names give.
         number: crate::net::NodeId,
-        /// Who has it.
+        /// The node that has the number already.
         other: NodeName,
     },
     /// The name of a node is the word that ends the peers of a policy line.

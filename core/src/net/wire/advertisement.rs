@@ -44,7 +44,7 @@ const SIGNED: u8 = 128;
 /// Which advertisement: of two of one origin, the greater is the newer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct AdvertisementId {
-    /// Whose.
+    /// The node whose links it lists.
     pub origin: NodeId,
     /// Rises with each. An incarnation begins at
     /// [`first_sequence`](AdvertisementId::first_sequence).
@@ -54,7 +54,7 @@ pub struct AdvertisementId {
 /// One node's links, as it sees them.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Advertisement {
-    /// Which.
+    /// Its origin and its place among the origin's advertisements.
     pub id: AdvertisementId,
     /// The origin's incarnation.
     pub incarnation: Incarnation,
@@ -69,7 +69,7 @@ pub struct Advertisement {
 /// One link, in one direction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Edge {
-    /// To whom.
+    /// The node at the link's other end.
     pub to: NodeId,
     /// To which of its incarnations, as [`incarnation_tag`](Edge::incarnation_tag) has it: while a
     /// node restarts, some know its new incarnation already, and their links lead to no earlier
@@ -191,7 +191,7 @@ impl Advertisement {
 }
 
 impl RoutingMessage {
-    /// Its bytes.
+    /// Returns the encoded message.
     pub fn encode(&self) -> Bytes {
         let mut bytes = BytesMut::new();
         match self {

@@ -17,8 +17,9 @@
 //!
 //! The echo says which hello of the neighbour arrived last and how long ago: the neighbour learns
 //! that it is heard, and the round trip without any clock in common. Stance and loss say what this
-//! end thinks of the link, so that both ends use it, or neither; beside the stance stand six bits: how
-//! many hellos before this one were not sent, since their node was not run. Numbers are big-endian.
+//! end thinks of the link, so that both ends use it, or neither; beside the stance stand six bits:
+//! how many hellos before this one were not sent, since their node was not run. Numbers are
+//! big-endian.
 //!
 //! What a router says and no frame of the medium carries whole goes in parts, kind 4: one byte,
 //! which part it is from 0, with 128 added to the last, then the bytes.
@@ -79,7 +80,7 @@ pub enum Frame {
 /// The node that has a name, as its neighbour tells another one of that name.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NameHolder {
-    /// Its incarnation.
+    /// The incarnation of that node.
     pub incarnation: Incarnation,
     /// Where the neighbour reaches it, in [`ADDRESS_MAX`](NameHolder::ADDRESS_MAX) bytes, or
     /// [`NOWHERE`](NameHolder::NOWHERE).
@@ -110,16 +111,16 @@ pub struct RoutingFragment {
     pub index: u8,
     /// It is the last.
     pub last: bool,
-    /// The bytes.
+    /// The fragment's bytes.
     pub bytes: Bytes,
 }
 
 /// A link's sign of life.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Hello {
-    /// Who says it.
+    /// The node that sends it.
     pub node: NodeName,
-    /// In which incarnation.
+    /// The incarnation of that node.
     pub incarnation: Incarnation,
     /// The number of the interval in which it was sent, counted from the link's start.
     pub sequence: u32,

@@ -44,30 +44,30 @@ pub enum PeerMessage {
     Bind {
         /// The number, chosen by the sender; good for this session.
         binding: u32,
-        /// Whom.
+        /// The object that the messages are for.
         object: ObjectName,
         /// The contract as the sender knows it, an encoded [`PeerIdentity`](crate::PeerIdentity).
         identity: Bytes,
     },
     /// The contract is the same here, and the object takes it.
     Bound {
-        /// Which.
+        /// The number that the binding was asked for under.
         binding: u32,
     },
     /// It cannot be.
     BindRefused {
-        /// Which.
+        /// The number that the binding was asked for under.
         binding: u32,
-        /// Why.
+        /// Why it is refused.
         why: DeliveryError,
         /// The contract as the receiver knows it; empty if it does not.
         identity: Bytes,
     },
     /// A message that wants a reply.
     Request {
-        /// The binding.
+        /// The number of the binding.
         binding: u32,
-        /// By which number to reply.
+        /// The number that the reply names.
         call: u64,
         /// When it was sent, in ticks.
         timestamp: u64,
@@ -75,32 +75,32 @@ pub enum PeerMessage {
         within: u64,
         /// By which identity a repeated message is known.
         id: Option<MessageId>,
-        /// The message.
+        /// The encoded message.
         payload: GatherBuffer,
     },
-    /// The reply.
+    /// The reply to a request.
     Reply {
-        /// To which request.
+        /// The number of the request.
         call: u64,
         /// The encoded reply, or why there is none.
         result: Result<GatherBuffer, DeliveryError>,
     },
     /// A message that wants no reply.
     Tell {
-        /// The binding.
+        /// The number of the binding.
         binding: u32,
         /// When it was sent.
         timestamp_us: u64,
         /// By which identity a repeated message is known.
         id: Option<MessageId>,
-        /// The message.
+        /// The encoded message.
         payload: GatherBuffer,
     },
     /// A message that wants no reply may not come this way.
     TellRefused {
         /// The binding that it came through.
         binding: u32,
-        /// Why.
+        /// Why it is refused.
         why: DeliveryError,
     },
     /// Send me what is published with you on this topic.
@@ -108,7 +108,7 @@ pub enum PeerMessage {
         /// The number, chosen by the listener; good for this session. Events of the n-th version
         /// below come under this number and n.
         subscription: u32,
-        /// The topic.
+        /// The name of the topic.
         topic: String,
         /// The contract as the listener knows it, and then the earlier versions that it
         /// understands.
@@ -116,28 +116,28 @@ pub enum PeerMessage {
     },
     /// The contract is another here; nothing will come.
     SubscribeRefused {
-        /// Which.
+        /// The number of the subscription.
         subscription: u32,
-        /// Why.
+        /// Why nothing will come.
         why: DeliveryError,
     },
     /// What was refused by the policy is not any more: subscribe again.
     SubscribeAgain {
-        /// Which.
+        /// The number of the subscription.
         subscription: u32,
     },
     /// No object of this node listens any more.
     Unsubscribe {
-        /// Which.
+        /// The number of the subscription.
         subscription: u32,
     },
     /// Something was published.
     Event {
-        /// For which subscription.
+        /// The number of the subscription.
         subscription: u32,
         /// When it was published.
         timestamp_us: u64,
-        /// The event.
+        /// The encoded event.
         payload: GatherBuffer,
     },
     /// All that this node listens to was told, and its objects answer. Each session with a node
@@ -152,12 +152,12 @@ pub enum PeerMessage {
     /// The object behind this binding has no room: send it nothing until I say so. What is under
     /// way waits here.
     NotReady {
-        /// Which.
+        /// The number of the binding.
         binding: u32,
     },
     /// It has room again.
     Ready {
-        /// Which.
+        /// The number of the binding.
         binding: u32,
     },
 }

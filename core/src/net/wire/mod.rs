@@ -25,9 +25,9 @@ pub enum WireError {
     /// Another release speaks; both must run the same major release.
     #[error("the sender speaks version {theirs} of the protocol, this node {ours}")]
     Version {
-        /// Its version.
+        /// The version that the sender speaks.
         theirs: u8,
-        /// Ours.
+        /// The version that this node speaks.
         ours: u8,
     },
     /// The bytes end before the thing they describe.
@@ -36,13 +36,13 @@ pub enum WireError {
     /// More bytes than the thing they describe, or than may be sent.
     #[error("{what} is too large")]
     TooLarge {
-        /// What.
+        /// What is too large, for display.
         what: &'static str,
     },
     /// A value that cannot stand at its place.
     #[error("{what} is malformed")]
     Malformed {
-        /// What.
+        /// What is malformed, for display.
         what: &'static str,
     },
 }
@@ -71,7 +71,7 @@ pub struct Refusals {
 }
 
 impl Refusals {
-    /// Counts one.
+    /// Counts a refusal under its cause.
     pub fn count(&mut self, error: &WireError) {
         match error {
             WireError::Foreign { .. } => self.foreign += 1,

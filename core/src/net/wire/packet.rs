@@ -45,16 +45,16 @@ pub enum PacketPriority {
     Data,
 }
 
-/// One packet.
+/// What routers pass on, with its header.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Packet {
     /// How urgent it is.
     pub class: PacketPriority,
     /// How many more nodes may pass it on.
     pub hops: u8,
-    /// Whom it is for.
+    /// The node that it is for.
     pub destination: NodeId,
-    /// Whom it is from.
+    /// The node that it is from.
     pub source: NodeId,
     /// Who has passed it on so far, at most [`HOPS_MAX`].
     pub passed: Vec<NodeId>,
@@ -180,7 +180,8 @@ impl Packet {
     }
 }
 
-/// Whether the first bytes of a packet say that it is of the class [`Control`](PacketPriority::Control).
+/// Whether the first bytes of a packet say that it is of the class
+/// [`Control`](PacketPriority::Control).
 pub(crate) fn is_control(packet: &[u8]) -> bool {
     let class = match packet.first() {
         Some(first) if first & PASSED == PASSED => packet.get(PACKET_HEADER),

@@ -12,10 +12,9 @@
 //! redundant    111 palfr │ as data, and a copy goes over every path
 //! datagram     010 p000n │ tag 4 │ channel v │ sequence v │ n: number v │ p: index v, count v │
 //!                        payload
-//! acknowledge  011 nbeqc │ tag 4 │ ack of each stream: c control, q requests, e events, b bulk │ n:
-//!                        next v, received v, arrived 2
-//!              110 0000t │ tag 4 │ ack of one stream: t 0 redundant, and a copy goes over every path;
-//!                        1 replication
+//! acknowledge  011 00000 │ tag 4 │ 0nbeqprc 1 │ ack of each stream: c control, r redundant, of which
+//!                        a copy goes over every path, p replication, q requests, e events, b bulk
+//!                        │ n: next v, received v, arrived 2
 //! close        100 00000 │ tag 4
 //! closed       100 00001 │ tag 4
 //! reset        100 00010 │ tag 4, the one of the unknown segment
@@ -53,25 +52,6 @@ pub(crate) fn data_header(sequence: u64) -> usize {
     1 + 4 + varint_length(sequence)
 }
 
-/// A stream that is acknowledged by itself.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SeparateStream {
-    /// Redundant messages: their acknowledgements go over every path as well.
-    Redundant,
-    /// What replicas say, which few nodes send.
-    Replication,
-}
-
-impl SeparateStream {
-    /// Its class.
-    pub fn class(self) -> TrafficClass {
-        match self {
-            SeparateStream::Redundant => TrafficClass::Redundant,
-            SeparateStream::Replication => TrafficClass::Replication,
-        }
-    }
-}
-
 /// What two sessions say to each other.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Segment {
@@ -85,19 +65,10 @@ pub enum Segment {
     Acknowledge {
         /// The receiver's tag.
         tag: u32,
-        /// For the streams of control, requests, events and bulk.
-        streams: [Option<Ack>; 4],
-        /// For datagrams.
+        /// For each stream, in the order of [`TrafficClass::ALL`].
+        streams: [Option<Ack>; TrafficClass::COUNT],
+        /// For datagrams; `None` if none is acknowledged.
         datagrams: Option<DatagramAck>,
-    },
-    /// What has arrived of a stream that is acknowledged by itself.
-    AcknowledgeOne {
-        /// The receiver's tag.
-        tag: u32,
-        /// Of the redundant stream, or of replication.
-        stream: SeparateStream,
-        /// What.
-        ack: Ack,
     },
     /// All that I had to say is said and acknowledged.
     Close {
@@ -116,7 +87,7 @@ pub enum Segment {
     },
 }
 
-/// The handshake.
+/// The handshake: one side opens a session, or answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OpenSegment {
     /// The version of the session's protocol.
@@ -147,7 +118,7 @@ pub struct SessionReceipt {
 pub struct Data {
     /// The receiver's tag.
     pub tag: u32,
-    /// Which stream.
+    /// The stream that it belongs to.
     pub stream: TrafficClass,
     /// Its place there.
     pub sequence: u64,
@@ -161,7 +132,7 @@ pub struct Data {
     pub piece: Option<Fragment>,
     /// What has arrived in the other direction.
     pub ack: Option<Ack>,
-    /// The bytes.
+    /// The bytes of the part, or of its piece.
     pub payload: GatherBuffer,
 }
 
@@ -178,7 +149,7 @@ pub struct Datagram {
     pub number: Option<u64>,
     /// This is not the whole message.
     pub piece: Option<Fragment>,
-    /// The bytes.
+    /// The bytes of the message, or of its piece.
     pub payload: GatherBuffer,
 }
 
@@ -248,7 +219,6 @@ const DATAGRAM: u8 = 2;
 const ACKNOWLEDGE: u8 = 3;
 const END: u8 = 4;
 const LATER_DATA: u8 = 5;
-const ACKNOWLEDGE_ONE: u8 = 6;
 const REDUNDANT: u8 = 7;
 
 /// What an [`END`] says, in its flags.
@@ -256,10 +226,6 @@ const CLOSE: u8 = 0;
 const CLOSED: u8 = 1;
 const RESET: u8 = 2;
 const OPEN: u8 = 3;
-
-/// The streams that one acknowledgement may speak of, in its order.
-pub const ACKNOWLEDGED_TOGETHER: [TrafficClass; 4] =
-    [TrafficClass::Control, TrafficClass::Request, TrafficClass::Event, TrafficClass::Bulk];
 
 impl Segment {
     /// The segment's bytes, in one piece.
@@ -285,10 +251,11 @@ impl Segment {
             Segment::Data(data) => data.parcel(),
             Segment::Datagram(datagram) => datagram.parcel(),
             Segment::Acknowledge { tag, streams, datagrams } => {
-                let told = streams.iter().map(Option::is_some).chain([datagrams.is_some()]);
-                let flags = (0..).zip(told).map(|(bit, told)| u8::from(told) << bit).sum();
-                let mut bytes = begin(ACKNOWLEDGE, flags, 32);
+                let present = streams.iter().map(Option::is_some).chain([datagrams.is_some()]);
+                let flags = (0..).zip(present).map(|(bit, present)| u8::from(present) << bit).sum();
+                let mut bytes = begin(ACKNOWLEDGE, 0, 32);
                 bytes.put_u32(*tag);
+                bytes.put_u8(flags);
                 for ack in streams.iter().flatten() {
                     ack.put(&mut bytes);
                 }
@@ -297,12 +264,6 @@ impl Segment {
                     bytes.varint(*received);
                     bytes.put_u16(arrived.0);
                 }
-                bytes.freeze().into()
-            }
-            Segment::AcknowledgeOne { tag, stream, ack } => {
-                let mut bytes = begin(ACKNOWLEDGE_ONE, *stream as u8, 32);
-                bytes.put_u32(*tag);
-                ack.put(&mut bytes);
                 bytes.freeze().into()
             }
             Segment::Close { tag } => end(CLOSE, *tag),
@@ -320,11 +281,11 @@ impl Segment {
         let first = reader.u8()?;
         let (kind, flags) = (first >> 5, first & 0x1f);
         let allowed = match kind {
-            DATA | LATER_DATA | REDUNDANT | ACKNOWLEDGE => 0b11111,
+            DATA | LATER_DATA | REDUNDANT => 0b11111,
             REPLICATION_DATA => 0b11110,
             DATAGRAM => 0b10001,
             END => 0b00011,
-            _ => 0b00001,
+            _ => 0,
         };
         if flags & !allowed != 0 {
             return Err(WireError::Malformed { what: "a segment's flags" });
@@ -339,21 +300,21 @@ impl Segment {
             }
             DATAGRAM => Datagram::read(tag, flags, reader).map(Segment::Datagram),
             ACKNOWLEDGE => {
-                let mut ack = |bit| (flags & bit != 0).then(|| Ack::read(&mut reader)).transpose();
-                let streams = [ack(1)?, ack(2)?, ack(4)?, ack(8)?];
+                let flags = reader.u8()?;
+                if flags & 1 << 7 != 0 {
+                    return Err(WireError::Malformed { what: "an acknowledgement" });
+                }
+                let mut streams = [const { None }; TrafficClass::COUNT];
+                for (bit, ack) in streams.iter_mut().enumerate() {
+                    *ack = (flags & 1 << bit != 0).then(|| Ack::read(&mut reader)).transpose()?;
+                }
+                let has_datagrams = flags & 1 << TrafficClass::COUNT != 0;
                 let datagrams =
-                    (flags & 16 != 0).then(|| DatagramAck::read(&mut reader)).transpose()?;
+                    has_datagrams.then(|| DatagramAck::read(&mut reader)).transpose()?;
                 reader.end("an acknowledgement")?;
                 Ok(Segment::Acknowledge { tag, streams, datagrams })
             }
-            ACKNOWLEDGE_ONE => {
-                let ack = Ack::read(&mut reader)?;
-                reader.end("an acknowledgement")?;
-                let of = [SeparateStream::Redundant, SeparateStream::Replication];
-                Ok(Segment::AcknowledgeOne { tag, stream: of[usize::from(flags)], ack })
-            }
-            // Three bits have no other value.
-            _ => {
+            END => {
                 reader.end("a segment")?;
                 Ok(match flags {
                     CLOSE => Segment::Close { tag },
@@ -361,6 +322,7 @@ impl Segment {
                     _ => Segment::Reset { tag },
                 })
             }
+            _ => Err(WireError::Malformed { what: "a segment's kind" }),
         }
     }
 }
@@ -580,15 +542,15 @@ mod tests {
             payload: Bytes::from_static(b"x").into(),
         };
         let numbered = Datagram { number: Some(300), ..datagram.clone() };
-        let told = DatagramAck { next: 301, received: 299, arrived };
+        let acks = DatagramAck { next: 301, received: 299, arrived };
         vec![
             (
                 Segment::Open(open),
-                b"\x83\x07\0\0\0\x07\0\0\0\0\0\0\0\0\0\0\0\x02\0\0\0\x03\0\0\0\0",
+                b"\x83\x08\0\0\0\x07\0\0\0\0\0\0\0\0\0\0\0\x02\0\0\0\x03\0\0\0\0",
             ),
             (
                 Segment::Open(next),
-                b"\x83\x07\0\0\0\x07\0\0\0\0\0\0\0\0\0\0\0\x02\0\0\0\x04\0\0\0\x09\x01\0\0\xac\x02\0\x02",
+                b"\x83\x08\0\0\0\x07\0\0\0\0\0\0\0\0\0\0\0\x02\0\0\0\x04\0\0\0\x09\x01\0\0\xac\x02\0\x02",
             ),
             (Segment::Data(copied), b"\xe7\x01\x02\x03\x04\xac\x02\x02hi"),
             (Segment::Data(data), b"\x27\x01\x02\x03\x04\xac\x02\x02hi"),
@@ -602,32 +564,32 @@ mod tests {
             (Segment::Datagram(datagram), b"\x40\0\0\0\x01\x04\x09x"),
             (Segment::Datagram(numbered), b"\x41\0\0\0\x01\x04\x09\xac\x02x"),
             (
-                Segment::Acknowledge { tag: 1, streams: [const { None }; 4], datagrams: Some(told) },
-                b"\x70\0\0\0\x01\xad\x02\xab\x02\x12\x34",
-            ),
-            (
-                Segment::AcknowledgeOne {
-                    tag: 1,
-                    stream: SeparateStream::Redundant,
-                    ack: ack.clone(),
-                },
-                b"\xc0\0\0\0\x01\x05\xc8\x01\x12\x34\x02\x02\x01\xa4\x02\x00",
+                Segment::Acknowledge { tag: 1, streams: [const { None }; 6], datagrams: Some(acks) },
+                b"\x60\0\0\0\x01\x40\xad\x02\xab\x02\x12\x34",
             ),
             (
                 Segment::Acknowledge {
                     tag: 1,
-                    streams: [None, Some(ack.clone()), None, None],
+                    streams: [None, Some(ack.clone()), None, None, None, None],
                     datagrams: None,
                 },
-                b"\x62\0\0\0\x01\x05\xc8\x01\x12\x34\x02\x02\x01\xa4\x02\x00",
+                b"\x60\0\0\0\x01\x02\x05\xc8\x01\x12\x34\x02\x02\x01\xa4\x02\x00",
             ),
             (
                 Segment::Acknowledge {
                     tag: 1,
-                    streams: [None, None, None, Some(ack)],
+                    streams: [None, None, None, Some(ack.clone()), None, None],
                     datagrams: None,
                 },
-                b"\x68\0\0\0\x01\x05\xc8\x01\x12\x34\x02\x02\x01\xa4\x02\x00",
+                b"\x60\0\0\0\x01\x08\x05\xc8\x01\x12\x34\x02\x02\x01\xa4\x02\x00",
+            ),
+            (
+                Segment::Acknowledge {
+                    tag: 1,
+                    streams: [None, None, None, None, None, Some(ack)],
+                    datagrams: None,
+                },
+                b"\x60\0\0\0\x01\x20\x05\xc8\x01\x12\x34\x02\x02\x01\xa4\x02\x00",
             ),
             (Segment::Close { tag: 1 }, b"\x80\0\0\0\x01"),
             (Segment::Closed { tag: 1 }, b"\x81\0\0\0\x01"),
@@ -654,8 +616,10 @@ mod tests {
         check(b"\x01\0\0\0\x01");
         check(b"\x42\0\0\0\x01");
         check(b"\x30\0\0\0\x01\x01\x02\x02");
-        check(b"\x62\0\0\0\x01\x05\x05\0\0\x11");
-        check(b"\x62\0\0\0\x01\x05\x05\0\0\x01\xff\xff\xff\xff\xff\xff\xff\xff\xff\x01\x01");
+        check(b"\x61\0\0\0\x01\0");
+        check(b"\x60\0\0\0\x01\x80");
+        check(b"\x60\0\0\0\x01\x08\x05\x05\0\0\x11");
+        check(b"\x60\0\0\0\x01\x08\x05\x05\0\0\x01\xff\xff\xff\xff\xff\xff\xff\xff\xff\x01\x01");
         for (segment, golden) in examples() {
             if !matches!(segment, Segment::Data(_) | Segment::Datagram(_)) {
                 for cut in 0..golden.len() {

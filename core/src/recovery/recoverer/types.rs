@@ -36,7 +36,7 @@ pub struct RecoveryDone {
 /// An action has not worked.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RecoveryFailed {
-    /// Why.
+    /// Why the action failed, for display.
     pub reason: String,
     /// Another attempt cannot help either: the next step of the ladder follows at once.
     pub is_final: bool,
@@ -60,21 +60,16 @@ pub enum RecovererOutput {
         /// What became of it.
         outcome: RecoveryOutcome,
     },
-    /// This strategy has had nothing to do for a while: let it go.
-    Release {
-        /// The action that it carries out.
-        action: RecoveryAction,
-    },
     /// The node is in the safe state, or ends, and this incarnation keeps its thread, or stands
     /// still behind the one that does: have it given up, so that no component that stops waits for
     /// it.
     AbandonIncarnation {
-        /// Its hang.
+        /// The hang of that incarnation.
         fault: Fault,
     },
     /// Not even safe stop could be carried out: the whole node enters the safe state.
     LastResort {
-        /// What could not be contained.
+        /// The fault that could not be contained.
         fault: Fault,
         /// What safe stop said.
         reason: String,
@@ -95,8 +90,6 @@ pub struct RecovererLimits {
     /// A fault that returns within this time after a reset, or a strategy of the application's own,
     /// had cured it is not treated from the beginning but goes on up its ladder.
     pub memory: Duration,
-    /// A strategy without work is released after this. Longer keeps it warm; shorter frees memory.
-    pub idle: Duration,
 }
 
 impl Default for RecovererLimits {
@@ -106,7 +99,6 @@ impl Default for RecovererLimits {
             symptoms: 4096,
             grace: Duration::from_millis(200),
             memory: Duration::from_secs(10),
-            idle: Duration::from_secs(30),
         }
     }
 }

@@ -73,9 +73,9 @@ pub enum ChildState {
 /// One row of the supervisor's table.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ChildStatus {
-    /// Its name.
+    /// The child's name.
     pub name: ObjectName,
-    /// Which incarnation; 0 before the first.
+    /// The child's present incarnation; 0 before the first.
     pub incarnation: Incarnation,
     /// Where it stands.
     pub state: ChildState,

@@ -33,7 +33,7 @@ mod timers;
 mod types;
 
 pub use child::{ChildState, ChildStatus, ReplacementCause};
-pub use types::{CallId, GiveUpReason, SupervisorOutput};
+pub use types::{CallId, ChildOrder, GiveUpReason, SupervisorOutput};
 
 use super::{ChildRules, Strategy, SupervisorRules};
 use crate::sorted::{SortedMap, SortedSet};
@@ -68,7 +68,7 @@ struct Pending {
     call: CallId,
     key: ChildKey,
     child: ObjectName,
-    wish: ChildTarget,
+    goal: ChildTarget,
 }
 
 /// One supervisor. See the [module](self).
@@ -159,7 +159,7 @@ impl Supervisor {
             self.coming.insert(key);
         } else if self.incarnation != Incarnation::default() {
             // As its siblings, it takes no messages before the next incarnation.
-            self.outputs.push_back(SupervisorOutput::Retire(name));
+            self.order(key, ChildOrder::Retire);
         }
         self.advance(now);
         Ok(())
@@ -195,14 +195,12 @@ impl Supervisor {
         // Maps that grow child by child have nodes that are half empty.
         self.index = std::mem::take(&mut self.index).into_iter().collect();
         self.children = std::mem::take(&mut self.children).into_iter().collect();
-        let keys: Vec<ChildKey> = self.children.keys().copied().collect();
-        for key in keys {
-            let child = self.kept(key);
-            child.goal = ChildTarget::Run;
-            child.failed = None;
-            self.set_isolated(key, false);
-            self.coming.insert(key);
-        }
+        self.for_each(|supervisor, key| {
+            let child = supervisor.kept(key);
+            (child.goal, child.failed) = (ChildTarget::Run, None);
+            supervisor.set_isolated(key, false);
+            supervisor.coming.insert(key);
+        });
         self.advance(now);
     }
 
@@ -229,7 +227,7 @@ impl Supervisor {
     pub fn handle_retired(&mut self) {
         let (work, others) = std::mem::take(&mut self.pending)
             .into_iter()
-            .partition(|pending: &Pending| pending.wish == ChildTarget::Run);
+            .partition(|pending: &Pending| pending.goal == ChildTarget::Run);
         self.pending = others;
         let work: Vec<Pending> = work;
         for Pending { call, child, .. } in work {
@@ -253,11 +251,10 @@ impl Supervisor {
 
     /// Forbids all children to send and receive, or allows it again.
     pub fn handle_isolate_all(&mut self, isolated: bool, now: Instant) {
-        let keys: Vec<ChildKey> = self.children.keys().copied().collect();
-        for key in keys {
-            self.set_isolated(key, isolated);
-            self.grant(key, now);
-        }
+        self.for_each(|supervisor, key| {
+            supervisor.set_isolated(key, isolated);
+            supervisor.grant(key, now);
+        });
     }
 
     /// A restart is wanted: by the recoverer for a fault of the incarnation `faulty`, or, without

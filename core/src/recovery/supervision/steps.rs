@@ -1,7 +1,9 @@
 //! How the supervisor's children are moved: one step at a time, in order.
 
 use super::child::{ChildKey, ChildPhase, ChildTarget, ReplacementCause, SupervisedChild};
-use super::{CallId, GiveUpReason, PENDING_LIMIT, Pending, Phase, Supervisor, SupervisorOutput};
+use super::{
+    CallId, ChildOrder, GiveUpReason, PENDING_LIMIT, Pending, Phase, Supervisor, SupervisorOutput,
+};
 use crate::recovery::{Restart, RestartGrant, Strategy};
 use crate::{Incarnation, Instant, ObjectName, SlidingWindow};
 
@@ -71,9 +73,9 @@ impl Supervisor {
             return;
         }
         let pending = std::mem::take(&mut self.pending);
-        for Pending { call, key, child, wish } in pending {
-            match self.outcome(key, wish) {
-                None => self.pending.push(Pending { call, key, child, wish }),
+        for Pending { call, key, child, goal } in pending {
+            match self.outcome(key, goal) {
+                None => self.pending.push(Pending { call, key, child, goal }),
                 Some(Ok(Some(incarnation))) if self.is_unavailable(key) => {
                     self.outputs.push_back(SupervisorOutput::Waits { call, child, incarnation });
                 }
@@ -93,10 +95,10 @@ impl Supervisor {
     fn outcome(
         &self,
         key: ChildKey,
-        wish: ChildTarget,
+        goal: ChildTarget,
     ) -> Option<Result<Option<Incarnation>, GiveUpReason>> {
         let Some(child) = self.children.get(&key) else { return Some(Ok(None)) };
-        match wish {
+        match goal {
             ChildTarget::Leave => None,
             ChildTarget::Rest if child.goal == ChildTarget::Leave => None,
             ChildTarget::Rest if child.goal != ChildTarget::Rest => {
@@ -237,13 +239,13 @@ impl Supervisor {
                 child.goal = ChildTarget::Finished;
                 self.coming.remove(&key);
                 if !child.is_alive() {
-                    finished.push(child.name.clone());
+                    finished.push(key);
                 }
             } else {
                 self.coming.insert(key);
             }
         }
-        self.outputs.extend(finished.into_iter().map(SupervisorOutput::Retire));
+        finished.into_iter().for_each(|key| self.order(key, ChildOrder::Retire));
         self.going.extend(going.iter().copied());
         self.announce_stops(going);
     }
@@ -251,10 +253,11 @@ impl Supervisor {
     /// These are going to be stopped, each when those behind it have ended: until then a supervisor
     /// among them begins nothing that would have to be stopped again.
     pub(super) fn announce_stops(&mut self, going: Vec<ChildKey>) {
-        let children = going.into_iter().map(|key| &self.children[&key]);
-        let supervisors = children.filter(|child| child.rules.supervises);
-        let expectations = supervisors.map(|child| SupervisorOutput::ExpectEnd(child.name.clone()));
-        self.outputs.extend(expectations);
+        for key in going {
+            if self.children[&key].rules.supervises {
+                self.order(key, ChildOrder::ExpectEnd);
+            }
+        }
     }
 
     /// Ends a child for good, or until it is started again on request.
@@ -358,10 +361,7 @@ impl Supervisor {
             },
             ChildTarget::Run => {}
             // However its last incarnation has ended, no other one serves what waits for it.
-            ChildTarget::Rest | ChildTarget::Finished => {
-                let child = child.name.clone();
-                self.outputs.push_back(SupervisorOutput::Retire(child));
-            }
+            ChildTarget::Rest | ChildTarget::Finished => self.order(key, ChildOrder::Retire),
         }
     }
 
@@ -380,7 +380,7 @@ impl Supervisor {
     fn answer_undone(&mut self, undone: ChildKey, failed: Option<String>) {
         let reason = failed.unwrap_or_else(|| "it was stopped before it was at work".to_owned());
         let waits =
-            |pending: &mut Pending| pending.key == undone && pending.wish == ChildTarget::Run;
+            |pending: &mut Pending| pending.key == undone && pending.goal == ChildTarget::Run;
         for Pending { call, child, .. } in self.pending.extract_if(.., waits).collect::<Vec<_>>() {
             let reason = reason.clone();
             self.answer_gave_up(call, child, GiveUpReason::StartFailed { reason });
@@ -389,25 +389,24 @@ impl Supervisor {
 
     pub(super) fn handle_overdue(&mut self, key: ChildKey, now: Instant) {
         let child = self.kept(key);
-        let (name, incarnation, rules) = (child.name.clone(), child.incarnation, child.rules);
+        let limit = child.rules.ready_within;
         match child.state {
             ChildPhase::Starting { .. } => {
-                let limit = rules.ready_within;
-                let overdue = SupervisorOutput::Overdue { child: name, incarnation, limit };
+                let (child, incarnation) = (child.name.clone(), child.incarnation);
+                let overdue = SupervisorOutput::Overdue { child, incarnation, limit };
                 self.outputs.push_back(overdue);
                 self.incarnation_ended(key, false, format!("not at work within {limit:?}"), now);
             }
             ChildPhase::Failing { .. } => {
-                self.outputs.push_back(SupervisorOutput::CutOff(name));
+                self.order(key, ChildOrder::CutOff);
                 self.incarnation_ended(key, false, "its last hooks took too long".into(), now);
             }
             ChildPhase::Stopping { .. } => {
-                self.outputs.push_back(SupervisorOutput::CutOff(name));
+                self.order(key, ChildOrder::CutOff);
                 self.set_state(key, ChildPhase::Down);
                 self.after_end(key, now);
             }
             ChildPhase::Resetting { call, .. } => {
-                let limit = rules.ready_within;
                 self.reset_failed(key, call, GiveUpReason::Overdue { limit });
             }
             ChildPhase::Down
@@ -421,9 +420,9 @@ impl Supervisor {
     pub(super) fn reset(&mut self, key: ChildKey, now: Instant) {
         let child = self.kept(key);
         let ChildPhase::AwaitsReset { call } = child.state else { return };
-        let (name, due) = (child.name.clone(), now + child.rules.ready_within);
+        let due = now + child.rules.ready_within;
         self.set_state(key, ChildPhase::Resetting { due, call });
-        self.outputs.push_back(SupervisorOutput::Reset(name));
+        self.order(key, ChildOrder::Reset);
     }
 
     /// The child stays in error. In a group those behind it wait until the recoverer has decided.
@@ -460,7 +459,7 @@ impl Supervisor {
         if matches!(child.state, ChildPhase::Stopping { .. }) {
             return;
         }
-        let (name, due) = (child.name.clone(), now + child.rules.shutdown_within);
+        let due = now + child.rules.shutdown_within;
         let wanted = child.goal == ChildTarget::Run;
         let again = wanted
             && match &self.phase {
@@ -471,14 +470,13 @@ impl Supervisor {
             };
         self.withdraw(key);
         self.set_state(key, ChildPhase::Stopping { due });
-        self.outputs.push_back(SupervisorOutput::Stop { child: name, again });
+        self.order(key, ChildOrder::Stop { again });
     }
 
     pub(super) fn abandon(&mut self, key: ChildKey) {
         self.withdraw(key);
         self.set_state(key, ChildPhase::Down);
-        let child = self.kept(key).name.clone();
-        self.outputs.push_back(SupervisorOutput::Abandon(child));
+        self.order(key, ChildOrder::Abandon);
     }
 
     /// Every state change goes through here, so that no deadline and no waiting reset is forgotten.
@@ -566,8 +564,7 @@ impl Supervisor {
         let child = self.kept(key);
         if child.isolated != isolated {
             child.isolated = isolated;
-            let child = child.name.clone();
-            self.outputs.push_back(SupervisorOutput::Isolate { child, isolated });
+            self.order(key, ChildOrder::Isolate(isolated));
         }
         if isolated {
             self.withdraw(key);
@@ -589,31 +586,29 @@ impl Supervisor {
             child.ordered = true;
             let recent = child.on_the_spot.as_ref().map_or(0, |window| window.recent(now));
             let times = left.saturating_add(recent);
-            let (child, order) = (child.name.clone(), Some(RestartGrant { times, period }));
-            self.outputs.push_back(SupervisorOutput::RestartGrant { child, order });
-        }
-    }
-
-    pub(super) fn grant_all(&mut self, now: Instant) {
-        let keys: Vec<ChildKey> = self.children.keys().copied().collect();
-        for key in keys {
-            self.grant(key, now);
+            self.order(key, ChildOrder::RestartGrant(Some(RestartGrant { times, period })));
         }
     }
 
     fn withdraw(&mut self, key: ChildKey) {
         let child = self.kept(key);
         if std::mem::take(&mut child.ordered) {
-            let child = child.name.clone();
-            self.outputs.push_back(SupervisorOutput::RestartGrant { child, order: None });
+            self.order(key, ChildOrder::RestartGrant(None));
         }
     }
 
     pub(super) fn withdraw_all(&mut self) {
+        self.for_each(Self::withdraw);
+    }
+
+    pub(super) fn for_each(&mut self, mut act: impl FnMut(&mut Self, ChildKey)) {
         let keys: Vec<ChildKey> = self.children.keys().copied().collect();
-        for key in keys {
-            self.withdraw(key);
-        }
+        keys.into_iter().for_each(|key| act(self, key));
+    }
+
+    pub(super) fn order(&mut self, key: ChildKey, order: ChildOrder) {
+        let child = self.kept(key).name.clone();
+        self.outputs.push_back(SupervisorOutput::Order { child, order });
     }
 
     /// Notes a request; what cannot even be noted is answered at once.
@@ -621,7 +616,7 @@ impl Supervisor {
         &mut self,
         name: &ObjectName,
         call: CallId,
-        wish: ChildTarget,
+        goal: ChildTarget,
     ) -> Option<ChildKey> {
         let child = name.clone();
         let Some(&key) = self.index.get(name) else {
@@ -632,7 +627,7 @@ impl Supervisor {
             self.answer_gave_up(call, child, GiveUpReason::Full { limit: PENDING_LIMIT });
             return None;
         }
-        self.pending.push(Pending { call, key, child, wish });
+        self.pending.push(Pending { call, key, child, goal });
         Some(key)
     }
 

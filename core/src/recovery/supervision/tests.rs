@@ -75,18 +75,20 @@ impl Rig {
                 SupervisorOutput::Start { child, incarnation } => {
                     format!("start {child} {incarnation}")
                 }
-                SupervisorOutput::Stop { child, .. } => format!("stop {child}"),
-                SupervisorOutput::ExpectEnd(child) => format!("announce_stops {child}"),
-                SupervisorOutput::Abandon(child) => format!("abandon {child}"),
-                SupervisorOutput::Reset(child) => format!("reset {child}"),
-                SupervisorOutput::Isolate { child, isolated: true } => format!("isolate {child}"),
-                SupervisorOutput::Isolate { child, isolated: false } => format!("admit {child}"),
-                SupervisorOutput::RestartGrant { child, order: Some(order) } => {
-                    format!("order {child} x{}", order.times)
-                }
-                SupervisorOutput::RestartGrant { child, order: None } => {
-                    format!("withdraw {child}")
-                }
+                SupervisorOutput::Order { child, order } => match order {
+                    ChildOrder::Stop { .. } => format!("stop {child}"),
+                    ChildOrder::ExpectEnd => format!("announce_stops {child}"),
+                    ChildOrder::Retire => format!("retire {child}"),
+                    ChildOrder::Abandon => format!("abandon {child}"),
+                    ChildOrder::CutOff => format!("cut off {child}"),
+                    ChildOrder::Reset => format!("reset {child}"),
+                    ChildOrder::Isolate(true) => format!("isolate {child}"),
+                    ChildOrder::Isolate(false) => format!("admit {child}"),
+                    ChildOrder::RestartGrant(Some(grant)) => {
+                        format!("order {child} x{}", grant.times)
+                    }
+                    ChildOrder::RestartGrant(None) => format!("withdraw {child}"),
+                },
                 SupervisorOutput::Recovered { call, child, incarnation: Some(incarnation) } => {
                     format!("{} recovered {child} {incarnation}", call.0)
                 }
@@ -103,9 +105,7 @@ impl Rig {
                     format!("refused {child} {incarnation}: {reason}")
                 }
                 SupervisorOutput::Unavailable(reason) => format!("waits: {reason}"),
-                SupervisorOutput::CutOff(child) => format!("cut off {child}"),
                 SupervisorOutput::Overdue { child, .. } => format!("overdue {child}"),
-                SupervisorOutput::Retire(child) => format!("retire {child}"),
                 SupervisorOutput::Left(child) => format!("left {child}"),
                 SupervisorOutput::GiveUp(reason) => format!("give up: {reason}"),
                 SupervisorOutput::Escalate(reason) => format!("escalate: {reason}"),

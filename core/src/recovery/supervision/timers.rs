@@ -42,7 +42,7 @@ impl Timers for Supervisor {
             SupervisorTimer::RestartRelease => {
                 let released = self.budget.release(now);
                 if self.budget.is_shared() && !released.is_empty() {
-                    self.grant_all(now);
+                    self.for_each(|supervisor, key| supervisor.grant(key, now));
                 } else {
                     released.into_iter().for_each(|key| self.grant(key, now));
                 }

@@ -48,7 +48,7 @@ pub enum GiveUpReason {
     /// The child needs more restarts than the intensity allows; its siblings continue.
     #[error("it is not restarted any more: {reason}")]
     IntensityExceeded {
-        /// Which limit was exceeded.
+        /// The limit that was exceeded.
         reason: String,
     },
     /// More restarts than the intensity allows, up to the root.
@@ -63,7 +63,7 @@ pub enum GiveUpReason {
     /// The supervisor can take no more children or requests.
     #[error("its supervisor is full: it takes no more than {limit}")]
     Full {
-        /// The bound.
+        /// The most children or requests.
         limit: usize,
     },
     /// A user has ordered the child to start while it was put into the safe state.
@@ -74,52 +74,58 @@ pub enum GiveUpReason {
     Forgotten,
 }
 
+/// What a supervisor has a child do, besides to start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ChildOrder {
+    /// End the present incarnation in order. A child that is not alive answers at once.
+    Stop {
+        /// Another incarnation is to follow, so that what waits for the child goes on waiting.
+        again: bool,
+    },
+    /// The present incarnation is about to be asked to end, after others: a supervisor starts
+    /// nothing any more. No answer.
+    ExpectEnd,
+    /// The child has no incarnation that works, and none is to follow: give back what waits for it,
+    /// and give one up whose start has failed, with its last hooks. No answer. The next start takes
+    /// the child up again.
+    Retire,
+    /// Give the present incarnation up without asking it: its queue is taken away, what it still
+    /// says goes nowhere. No answer. The next start finds another place for the child if the old
+    /// one is stuck.
+    Abandon,
+    /// The same with an incarnation that has had its time to start, or to end; report where it
+    /// keeps its thread.
+    CutOff,
+    /// Recover from an error.
+    Reset,
+    /// Forbid sending and receiving, or allow it again.
+    Isolate(bool),
+    /// Leave a decision with the child's guard, or withdraw it.
+    RestartGrant(Option<RestartGrant>),
+}
+
 /// An output of a supervisor.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SupervisorOutput {
     /// Begin the child's next incarnation.
     Start {
-        /// The child.
+        /// The child to start.
         child: ObjectName,
-        /// Which incarnation it is.
+        /// The incarnation that begins.
         incarnation: Incarnation,
     },
-    /// Ask the child's incarnation to end.
-    Stop {
-        /// The child.
+    /// Have the child carry this out.
+    Order {
+        /// The child that carries it out.
         child: ObjectName,
-        /// Another incarnation is to follow, so that what waits for the child goes on waiting.
-        again: bool,
-    },
-    /// Tell the child, which is a supervisor, that its incarnation is about to end: others are
-    /// stopped before it.
-    ExpectEnd(ObjectName),
-    /// Give the child's incarnation up without asking it.
-    Abandon(ObjectName),
-    /// The child has had its time to end: give its incarnation up, and report where it keeps its
-    /// thread.
-    CutOff(ObjectName),
-    /// Ask a child in error to recover by itself.
-    Reset(ObjectName),
-    /// Forbid the child to send and receive, or allow it again.
-    Isolate {
-        /// The child.
-        child: ObjectName,
-        /// Forbidden, or allowed.
-        isolated: bool,
-    },
-    /// Leave a decision with the child's guard, or withdraw it.
-    RestartGrant {
-        /// The child.
-        child: ObjectName,
-        /// The decision.
-        order: Option<RestartGrant>,
+        /// The order that it carries out.
+        order: ChildOrder,
     },
     /// The request is fulfilled: the child is at work, or let go.
     Recovered {
-        /// The request.
+        /// The number of the request.
         call: CallId,
-        /// The child.
+        /// The child that the request is about.
         child: ObjectName,
         /// The incarnation at work; `None` where no incarnation is wanted.
         incarnation: Option<Incarnation>,
@@ -127,26 +133,26 @@ pub enum SupervisorOutput {
     /// The request is fulfilled as far as it can be: the new incarnation waits for something that
     /// is not there yet, and tries again by itself.
     Waits {
-        /// The request.
+        /// The number of the request.
         call: CallId,
-        /// The child.
+        /// The child that the request is about.
         child: ObjectName,
         /// The incarnation that waits.
         incarnation: Incarnation,
     },
     /// The request is not going to be fulfilled.
     GaveUp {
-        /// The request.
+        /// The number of the request.
         call: CallId,
-        /// The child.
+        /// The child that the request is about.
         child: ObjectName,
-        /// Why.
+        /// Why it is not fulfilled.
         why: GiveUpReason,
     },
     /// A child that is a supervisor has escalated, and is not worth restarting any more; it has
     /// ended. The recoverer decides about it.
     Refused {
-        /// The child.
+        /// The child that has ended.
         child: ObjectName,
         /// The incarnation that escalated.
         incarnation: Incarnation,
@@ -159,15 +165,13 @@ pub enum SupervisorOutput {
     /// A start took too long, and its guard does not say so: give the incarnation up, and report
     /// it.
     Overdue {
-        /// The child.
+        /// The child that does not start.
         child: ObjectName,
         /// The incarnation that did not come to be.
         incarnation: Incarnation,
-        /// The deadline.
+        /// The deadline of its rules.
         limit: Duration,
     },
-    /// The child's end was final: what waits for it is to be given back.
-    Retire(ObjectName),
     /// The child has ended and is forgotten.
     Left(ObjectName),
     /// The root's restarts are not worth it any more: what must be safe is made safe now. All

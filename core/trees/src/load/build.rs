@@ -30,7 +30,6 @@ pub(super) fn build(
 ) -> Tree {
     let (tree, paths, bytes) = (Tree::default(), BTreeSet::new(), 0);
     let mut builder = Builder { factory, sources, definitions, with_subtrees, tree, paths, bytes };
-    builder.tree.enums = factory.enums.clone();
     let board = builder.tree.board.add(None, Named::new(), false);
     builder.node(root, Scope { board, prefix: "", depth: 0 });
     builder.tree.reserve();
@@ -102,10 +101,9 @@ impl<'a> Builder<'a> {
             board,
             hooks,
             part,
+            label: NodeLabel { path: path.clone(), type_name: type_name.to_owned(), depth },
             ..TreeNode::default()
         });
-        let label = NodeLabel { path: path.clone(), type_name: type_name.to_owned(), depth };
-        self.tree.labels.push(label);
         let mut children = Vec::new();
         if let Some(id) = element.attribute("ID").filter(|_| is_subtree) {
             let inner = self.inner_board(element, id, board);
@@ -231,8 +229,8 @@ impl<'a> Builder<'a> {
     /// Adds the script of this attribute.
     fn code(&mut self, attribute: &Attribute, board: BoardId, may_be_empty: bool) -> u32 {
         let text = &attribute.value;
-        let Tree { board: keys, enums, codes, .. } = &mut self.tree;
-        let script = script::parse(text, enums, &mut |key| keys.key(board, key));
+        let Tree { board: keys, codes, .. } = &mut self.tree;
+        let script = script::parse(text, &mut |key| keys.key(board, key));
         let script = script.unwrap_or_else(|error| {
             let in_entry = key_of("", text).is_some();
             if in_entry || !(text.is_empty() && may_be_empty) {
@@ -248,7 +246,7 @@ impl<'a> Builder<'a> {
     }
 
     /// The conditions of a node.
-    fn hooks(&mut self, element: &Element, board: BoardId) -> Option<u32> {
+    fn hooks(&mut self, element: &Element, board: BoardId) -> Option<Box<[Option<u32>; 8]>> {
         let mut hooks = [None; CONDITIONS.len()];
         for attribute in &element.attributes {
             let name = attribute.name.as_str();
@@ -259,11 +257,7 @@ impl<'a> Builder<'a> {
                 self.sources.misspelt(attribute.place, problem, name, CONDITIONS);
             }
         }
-        if hooks == [None; CONDITIONS.len()] {
-            return None;
-        }
-        self.tree.hooks.push(hooks);
-        Some(self.tree.hooks.len() as u32 - 1)
+        hooks.iter().any(Option::is_some).then(|| Box::new(hooks))
     }
 
     /// Connects the ports of a node, and declares the entries that they use.

@@ -27,7 +27,7 @@ impl fmt::Display for TreeErrors {
 #[error("{file}:{line}:{column}: {problem}{}\n{}", hint(.suggestion), marked(.line, .column, .excerpt))]
 #[non_exhaustive]
 pub struct TreeError {
-    /// The file.
+    /// The name of the file.
     pub file: String,
     /// The line, from 1.
     pub line: usize,

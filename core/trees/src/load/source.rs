@@ -18,7 +18,7 @@ const MAX_EXCERPT: usize = 100;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Place {
     pub(super) file: usize,
-    /// In bytes.
+    /// The offset in the file, in bytes.
     pub(super) at: usize,
 }
 

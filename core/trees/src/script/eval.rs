@@ -5,7 +5,6 @@
 use super::{Expr, Script};
 use crate::blackboard::{Blackboard, KeyId};
 use crate::value::{PortValue, Value};
-use std::collections::BTreeMap;
 
 type Evaluated = Result<Value, String>;
 
@@ -14,11 +13,10 @@ const MAX_TEXT: usize = 64 << 10;
 
 impl Script {
     /// The value of the last statement.
-    pub(crate) fn run(&self, board: &mut Blackboard, enums: &BTreeMap<String, i64>) -> Evaluated {
-        let mut run = Run { board, enums };
+    pub(crate) fn run(&self, board: &mut Blackboard) -> Evaluated {
         let mut last = Value::Int(0);
         for statement in &self.statements {
-            last = run.eval(statement)?;
+            last = board.eval(statement)?;
         }
         Ok(last)
     }
@@ -34,12 +32,7 @@ pub(crate) fn equal(a: f64, b: f64) -> bool {
     a == b || (a - b).abs() <= f64::from(f32::EPSILON)
 }
 
-struct Run<'a> {
-    board: &'a mut Blackboard,
-    enums: &'a BTreeMap<String, i64>,
-}
-
-impl Run<'_> {
+impl Blackboard {
     fn eval(&mut self, expr: &Expr) -> Evaluated {
         match expr {
             Expr::Literal(value) => Ok(value.clone()),
@@ -64,7 +57,7 @@ impl Run<'_> {
                 let mut left = self.eval(first)?;
                 for (operator, right) in chain {
                     let right = self.eval(right)?;
-                    if !self.compare(&left, operator, &right)? {
+                    if !compare(&left, operator, &right)? {
                         return Ok(Value::Real(0.0));
                     }
                     left = right;
@@ -76,49 +69,18 @@ impl Run<'_> {
                 let holds = condition.as_real().ok_or_else(|| not_taken("?", &condition))? != 0.0;
                 self.eval(&parts[if holds { 1 } else { 2 }])
             }
-            Expr::Assignment(key, operator, value) => self.assign(*key, operator, value),
+            Expr::Assignment(key, operator, value) => self.assign_by(*key, operator, value),
         }
     }
 
     fn read(&self, key: KeyId) -> Evaluated {
-        let value = self.board.value(key).cloned();
-        value.ok_or_else(|| format!("the entry `{}` has no value", self.board.name(key)))
+        let value = self.value(key).cloned();
+        value.ok_or_else(|| format!("the entry `{}` has no value", self.name(key)))
     }
 
-    fn compare(&self, a: &Value, operator: &str, b: &Value) -> Result<bool, String> {
-        let (less, same, greater) = match (a, b) {
-            (Value::Text(a), Value::Text(b)) => (a < b, a == b, a > b),
-            _ => {
-                let (a, b) = (self.number(a)?, self.number(b)?);
-                (a < b, equal(a, b), a > b)
-            }
-        };
-        Ok(match operator {
-            "==" => same,
-            "!=" => !same,
-            "<" => less,
-            ">" => greater,
-            "<=" => !greater,
-            _ => !less,
-        })
-    }
-
-    /// The number that a value is compared as: `true`, `false` and names of enums are numbers too.
-    fn number(&self, value: &Value) -> Result<f64, String> {
-        if let Value::Text(text) = value {
-            match &**text {
-                "true" => return Ok(1.0),
-                "false" => return Ok(0.0),
-                name if self.enums.contains_key(name) => return Ok(self.enums[name] as f64),
-                _ => {}
-            }
-        }
-        value.as_real().ok_or_else(|| not_taken("==", value))
-    }
-
-    fn assign(&mut self, key: KeyId, operator: &'static str, value: &Expr) -> Evaluated {
-        if operator != ":=" && !self.board.exists(key) {
-            let entry = self.board.name(key);
+    fn assign_by(&mut self, key: KeyId, operator: &'static str, value: &Expr) -> Evaluated {
+        if operator != ":=" && !self.exists(key) {
+            let entry = self.name(key);
             return Err(format!("the entry `{entry}` does not exist; `:=` creates it"));
         }
         let mut value = self.eval(value)?;
@@ -126,17 +88,45 @@ impl Run<'_> {
             let old = self.read(key)?;
             value = binary(&old, &operator[..1], &value)?;
         } else if matches!(value, Value::Text(_))
-            && self.board.kind(key).is_none()
-            && matches!(self.board.value(key), Some(Value::Int(_) | Value::Real(_)))
+            && self.kind(key).is_none()
+            && matches!(self.value(key), Some(Value::Int(_) | Value::Real(_)))
         {
-            value = Value::Real(self.number(&value)?);
+            value = Value::Real(comparable(&value)?);
         }
-        self.board.assign(key, value.clone()).map_err(|kind| {
-            let entry = self.board.name(key);
+        self.assign(key, value.clone()).map_err(|kind| {
+            let entry = self.name(key);
             format!("the entry `{entry}` keeps {kind}, to which `{value}` does not convert")
         })?;
         self.read(key)
     }
+}
+
+fn compare(a: &Value, operator: &str, b: &Value) -> Result<bool, String> {
+    let (less, same, greater) = match (a, b) {
+        (Value::Text(a), Value::Text(b)) => (a < b, a == b, a > b),
+        _ => {
+            let (a, b) = (comparable(a)?, comparable(b)?);
+            (a < b, equal(a, b), a > b)
+        }
+    };
+    Ok(match operator {
+        "==" => same,
+        "!=" => !same,
+        "<" => less,
+        ">" => greater,
+        "<=" => !greater,
+        _ => !less,
+    })
+}
+
+/// The number that a value is compared as: `true` and `false` are numbers too.
+fn comparable(value: &Value) -> Result<f64, String> {
+    let number = match value {
+        Value::Text(text) if **text == *"true" => Some(1.0),
+        Value::Text(text) if **text == *"false" => Some(0.0),
+        _ => value.as_real(),
+    };
+    number.ok_or_else(|| not_taken("==", value))
 }
 
 fn flag(holds: bool) -> f64 {

@@ -21,7 +21,6 @@ pub(crate) struct Script {
     statements: Vec<Expr>,
 }
 
-/// An expression.
 #[derive(Debug)]
 enum Expr {
     Literal(Value),

@@ -5,7 +5,6 @@ use super::{Expr, Script};
 use crate::blackboard::KeyId;
 use crate::value::Value;
 use std::borrow::Cow;
-use std::collections::BTreeMap;
 
 /// Scripts are short; the bounds keep the recursion that reads and runs them shallow.
 const MAX_SYMBOLS: usize = 1_000;
@@ -31,22 +30,18 @@ const CHOICE: u8 = 4;
 const COMPARISON: u8 = 10;
 const PREFIX: u8 = 20;
 
-/// Reads a script. `key` resolves the names of entries; names in `enums` are their numbers.
+/// Reads a script. `key` resolves the names of entries.
 ///
 /// # Errors
 ///
 /// The text is no script, or an empty one.
-pub(crate) fn parse(
-    text: &str,
-    enums: &BTreeMap<String, i64>,
-    key: &mut dyn FnMut(&str) -> KeyId,
-) -> Result<Script, ParseError> {
+pub(crate) fn parse(text: &str, key: &mut dyn FnMut(&str) -> KeyId) -> Result<Script, ParseError> {
     let tokens = tokens(text)?;
     if tokens.len() > MAX_SYMBOLS {
         let what = format!("a script has at most {MAX_SYMBOLS} symbols").into();
         return Err(ParseError { at: tokens[MAX_SYMBOLS].1, what });
     }
-    let mut parser = Parser { tokens, next: 0, depth: 0, enums, key };
+    let mut parser = Parser { tokens, next: 0, depth: 0, key };
     let mut statements = Vec::new();
     while parser.peek() != Token::End {
         statements.push(parser.expression(0)?);
@@ -62,7 +57,6 @@ struct Parser<'a> {
     tokens: Vec<(Token<'a>, usize)>,
     next: usize,
     depth: usize,
-    enums: &'a BTreeMap<String, i64>,
     key: &'a mut dyn FnMut(&str) -> KeyId,
 }
 
@@ -143,21 +137,13 @@ impl<'a> Parser<'a> {
         Ok(left)
     }
 
-    /// An operand.
     fn operand(&mut self) -> Result<Expr, ParseError> {
         let at = self.next;
         let operand = match self.take() {
             Token::Int(int) => Expr::Literal(Value::Int(int)),
             Token::Real(real) => Expr::Literal(Value::Real(real)),
             Token::Text(text) => Expr::Literal(Value::text(text)),
-            Token::Name(name) => {
-                let assigned =
-                    matches!(self.peek(), Token::Op(next) if binding(next) == ASSIGNMENT);
-                match self.enums.get(name).filter(|_| !assigned) {
-                    Some(number) => Expr::Literal(Value::Real(*number as f64)),
-                    None => Expr::Key((self.key)(name)),
-                }
-            }
+            Token::Name(name) => Expr::Key((self.key)(name)),
             Token::Op(operator @ ("-" | "~" | "!")) => {
                 Expr::Unary(operator, Box::new(self.expression(PREFIX)?))
             }

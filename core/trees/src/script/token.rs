@@ -10,7 +10,6 @@ pub(crate) struct ParseError {
     pub(crate) what: Cow<'static, str>,
 }
 
-/// One symbol.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Token<'a> {
     Int(i64),

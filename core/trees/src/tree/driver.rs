@@ -1,7 +1,7 @@
 //! The leaves of the application, and what the driver decides about them from outside.
 
+use super::NodeAnswer;
 use super::called::CalledLeaf;
-use super::execute::NodeAnswer;
 use super::leaf::{Halt, Leaf, LeafContext, LeafRun, LeafState};
 use super::{TickProblem, Tree, TreeNodeId};
 use crate::model::{Kind, LeafKind};
@@ -24,8 +24,8 @@ impl Tree {
             return Ok(status);
         }
         let runs = kind == LeafKind::Action && status == Status::Running && !state.deferred;
-        // A panic has taken the body: what it did is not known.
-        if runs && state.body.is_none() {
+        // A panic has taken the leaf: what it did is not known.
+        if runs && state.leaf.is_none() {
             return Ok(Status::Failure);
         }
         if !runs {
@@ -33,11 +33,11 @@ impl Tree {
             if state.deferred {
                 return Ok(Status::Running);
             }
-            state.since = self.now;
+            state.since = self.clock.now;
             state.starts = state.starts.wrapping_add(1);
         }
         let call = if runs { <dyn Leaf>::running } else { <dyn Leaf>::start };
-        let answer = self.with_body(id, call);
+        let answer = self.with_leaf(id, call);
         let answer = answer.map_err(|error| self.failed(id, TickProblem::Leaf(error)))?;
         if kind == LeafKind::SyncAction {
             match answer {
@@ -51,18 +51,18 @@ impl Tree {
     }
 
     /// Calls a leaf. Meanwhile it is out of the arena, so that a panic takes it away.
-    fn with_body<R>(
+    fn with_leaf<R>(
         &mut self,
         id: TreeNodeId,
         call: impl FnOnce(&mut dyn Leaf, &mut LeafContext<'_>) -> R,
     ) -> R {
         let state = self.leaf_mut(id);
-        let mut body = state.body.take().unwrap_or_else(|| (state.model.make)());
+        let mut leaf = state.leaf.take().unwrap_or_else(|| (state.model.make)());
         let run = LeafRun { node: id, start: state.starts };
         self.calling.set(Some(id));
-        let result = call(&mut *body, &mut LeafContext { tree: self, run });
+        let result = call(&mut *leaf, &mut LeafContext { tree: self, run });
         self.calling.set(None);
-        self.leaf_mut(id).body = Some(body);
+        self.leaf_mut(id).leaf = Some(leaf);
         result
     }
 
@@ -80,14 +80,14 @@ impl Tree {
         let state = self.leaf(id);
         let run = LeafRun { node: id, start: state.starts };
         // A leaf that has been completed has nothing to halt.
-        let halts = self.runs(state) && state.body.is_some() && state.answer.is_none();
+        let halts = self.runs(state) && state.leaf.is_some() && state.answer.is_none();
         let state = self.leaf_mut(id);
         (state.answer, state.deferred) = (None, false);
         if !halts {
             return;
         }
-        if self.with_body(id, |body, cx| body.halt(cx)) == Halt::Pending {
-            self.halting.push((run, self.now));
+        if self.with_leaf(id, |leaf, cx| leaf.halt(cx)) == Halt::Pending {
+            self.halting.push((run, self.clock.now));
         }
     }
 
@@ -95,8 +95,8 @@ impl Tree {
     pub(super) fn poll_halting(&mut self) {
         for index in (0..self.halting.len()).rev() {
             let (run, _) = self.halting[index];
-            let lost = self.leaf(run.node).body.is_none();
-            if lost || self.with_body(run.node, |body, cx| body.halting(cx)) == Halt::Done {
+            let lost = self.leaf(run.node).leaf.is_none();
+            if lost || self.with_leaf(run.node, |leaf, cx| leaf.halting(cx)) == Halt::Done {
                 self.halting.remove(index);
             }
         }
@@ -117,7 +117,7 @@ impl Tree {
     /// Drops the leaves that have not come to rest. They are made again for their next start.
     pub fn drop_halting(&mut self) {
         while let Some((run, _)) = self.halting.pop() {
-            self.leaf_mut(run.node).body = None;
+            self.leaf_mut(run.node).leaf = None;
         }
     }
 
@@ -153,7 +153,7 @@ impl Tree {
     fn answer(&mut self, node: TreeNodeId, answer: Option<Status>) {
         let state = self.leaf_mut(node);
         (state.answer, state.deferred) = (answer, answer.is_none());
-        self.wake_at(self.now);
+        self.wake_at(self.clock.now);
     }
 
     /// Lets a leaf fail when it is ticked next, after an error, a panic, or its time limit. It is
@@ -171,7 +171,7 @@ impl Tree {
     fn stop(&mut self, node: TreeNodeId, now: Duration, answer: Option<Status>) -> bool {
         let is_leaf = matches!(self.node(node).kind, Kind::Leaf(_));
         if is_leaf {
-            self.now = self.now.max(now);
+            self.clock.now = self.clock.now.max(now);
             self.halt_leaf(node);
             self.answer(node, answer);
         }

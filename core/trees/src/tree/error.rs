@@ -18,7 +18,7 @@ pub enum PortError {
     /// The entry that the port is connected to has no value yet.
     #[error("the port `{port}` reads `{key}`, which has no value")]
     Unset {
-        /// The port.
+        /// The name of the port.
         port: String,
         /// The entry's key.
         key: String,
@@ -26,7 +26,7 @@ pub enum PortError {
     /// The value does not convert.
     #[error("the port `{port}` is `{value}`, which is no {kind}")]
     Type {
-        /// The port.
+        /// The name of the port.
         port: String,
         /// The value, as text.
         value: String,
@@ -44,7 +44,7 @@ pub struct TickError {
     pub node: TreeNodeId,
     /// The node's path.
     pub path: String,
-    /// The cause.
+    /// What went wrong in that node.
     #[source]
     pub problem: TickProblem,
 }

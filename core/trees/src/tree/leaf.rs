@@ -15,7 +15,7 @@ pub type LeafResult = Result<Status, LeafError>;
 /// Whether a halted leaf has come to rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Halt {
-    /// It has.
+    /// The leaf has come to rest.
     Done,
     /// It needs further ticks. No action of the tree is started meanwhile.
     Pending,
@@ -68,7 +68,7 @@ pub enum Halt {
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub trait Leaf: Send + 'static {
-    /// The ports.
+    /// Returns the ports of the leaf's type.
     fn ports() -> Vec<Port>
     where
         Self: Sized,
@@ -135,7 +135,7 @@ pub(crate) struct LeafState {
     pub(crate) node: TreeNodeId,
     pub(crate) model: Arc<LeafModel>,
     /// None before the first call, and after a panic: it is made again for the next start.
-    pub(crate) body: Option<Box<dyn Leaf>>,
+    pub(crate) leaf: Option<Box<dyn Leaf>>,
     /// The driver's answer, which the next tick gives.
     pub(crate) answer: Option<Status>,
     /// The number of starts.
@@ -149,14 +149,14 @@ pub(crate) struct LeafState {
 impl LeafState {
     pub(crate) fn new(node: TreeNodeId, model: Arc<LeafModel>) -> LeafState {
         let (starts, since) = (0, Duration::ZERO);
-        LeafState { node, model, body: None, answer: None, starts, since, deferred: false }
+        LeafState { node, model, leaf: None, answer: None, starts, since, deferred: false }
     }
 }
 
 /// One start of one leaf. An answer for an earlier start is not taken for a later one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LeafRun {
-    /// The leaf.
+    /// The number of the leaf.
     pub node: TreeNodeId,
     pub(super) start: u32,
 }
@@ -172,7 +172,7 @@ pub(crate) struct BoundPort {
 #[derive(Clone, Debug)]
 pub(crate) enum PortBinding {
     Missing,
-    /// Converted already.
+    /// A literal, converted while the tree is loaded.
     Literal(Value),
     Key(KeyId),
     /// The entry that a literal names, of a port that takes names.
@@ -188,7 +188,7 @@ pub struct LeafContext<'a> {
 impl LeafContext<'_> {
     /// The time that the driver gave to the tick.
     pub fn now(&self) -> Duration {
-        self.tree.now
+        self.tree.clock.now
     }
 
     /// The leaf's path in the tree.

@@ -1,16 +1,12 @@
 //! A tree that runs.
 //!
 //! Its nodes lie in one arena in the order of the file; each is ticked by [`Tree::tick`] through
-//! its parent, as the library does it. The semantics of each type of node stand in `control.rs`,
-//! `decorator.rs` and `builtin_leaf.rs`.
+//! its parent, as the library does it. The semantics of each type of node stand in `builtin.rs`.
 
-mod builtin_leaf;
+mod builtin;
 mod called;
-mod control;
-mod decorator;
 mod driver;
 mod error;
-mod execute;
 mod leaf;
 
 pub use called::CalledLeaf;
@@ -19,12 +15,12 @@ pub(crate) use leaf::{BoundPort, LeafModel, LeafState, MakeLeaf, PortBinding};
 pub use leaf::{Halt, Leaf, LeafContext, LeafResult, LeafRun};
 
 use crate::blackboard::{Blackboard, BoardId, KeyId};
-use crate::model::Kind;
-use crate::script::Script;
+use crate::model::{Kind, TickOrder};
+use crate::script::{Script, truth};
 use crate::status::Status;
 use crate::value::{PortType, PortValue, Value};
 use std::any::Any;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::fmt::Write as _;
 use std::sync::Arc;
 use std::time::Duration;
@@ -34,7 +30,7 @@ use std::time::Duration;
 pub struct TreeNodeId(pub(crate) u32);
 
 impl TreeNodeId {
-    /// The number.
+    /// Returns the number as an index.
     pub const fn index(self) -> usize {
         self.0 as usize
     }
@@ -47,19 +43,27 @@ impl TreeNodeId {
 #[derive(Default)]
 pub struct Tree {
     pub(crate) nodes: Vec<TreeNode>,
-    pub(crate) labels: Vec<NodeLabel>,
     /// The children of all nodes.
     pub(crate) children: Vec<TreeNodeId>,
     /// The ports of all nodes.
     pub(crate) bindings: Vec<BoundPort>,
-    /// The conditions of nodes as indices in `codes`: `_failureIf`, `_successIf`, `_skipIf`,
-    /// `_while`, `_onSuccess`, `_onFailure`, `_post`, `_onHalted`.
-    pub(crate) hooks: Vec<[Option<u32>; 8]>,
     pub(crate) codes: Vec<Code>,
     pub(crate) loops: Vec<LoopQueue>,
     pub(crate) leaves: Vec<LeafState>,
     pub(crate) board: Blackboard,
-    pub(crate) enums: BTreeMap<String, i64>,
+    clock: TickClock,
+    /// The leaves that have been halted and have not come to rest, with the time of their halt.
+    halting: Vec<(LeafRun, Duration)>,
+    /// The leaf that is being called; still set after a panic.
+    calling: CalledLeaf,
+    /// What the driver lends to the leaves.
+    lent: Option<Arc<dyn Any + Send + Sync>>,
+    changes: ChangeLog,
+}
+
+/// The time of the present tick, and when the next one is due.
+#[derive(Default)]
+struct TickClock {
     now: Duration,
     /// The earliest time for which a node has asked.
     wake: Option<Duration>,
@@ -67,17 +71,15 @@ pub struct Tree {
     yielded: bool,
     /// The same, until `tick_while_yielding` takes notice: as in the library, also in a later run.
     woken: bool,
-    /// The leaves that have been halted and have not come to rest, with the time of their halt.
-    halting: Vec<(LeafRun, Duration)>,
-    /// The leaf that is being called; still set after a panic.
-    calling: CalledLeaf,
-    /// What the driver lends to the leaves.
-    lent: Option<Arc<dyn Any + Send + Sync>>,
-    changes: Vec<StatusChange>,
-    changes_lost: u32,
 }
 
-/// A node.
+/// The changes of the last tick, and how many more there were than their list holds.
+#[derive(Default)]
+struct ChangeLog {
+    list: Vec<StatusChange>,
+    lost: u32,
+}
+
 #[derive(Debug, Default)]
 pub(crate) struct TreeNode {
     pub(crate) kind: Kind,
@@ -91,11 +93,13 @@ pub(crate) struct TreeNode {
     pub(crate) child_count: u32,
     pub(crate) first_binding: u32,
     pub(crate) board: BoardId,
-    /// Its index in `hooks`.
-    pub(crate) hooks: Option<u32>,
+    /// Its conditions as indices in `codes`: `_failureIf`, `_successIf`, `_skipIf`, `_while`,
+    /// `_onSuccess`, `_onFailure`, `_post`, `_onHalted`.
+    pub(crate) hooks: Option<Box<[Option<u32>; 8]>>,
     /// Its index in `codes`, `loops` or `leaves`.
     pub(crate) part: u32,
     pub(crate) memory: NodeMemory,
+    pub(crate) label: NodeLabel,
 }
 
 /// The memory of a node between ticks; each type of node gives the fields its own meaning.
@@ -111,7 +115,7 @@ pub(crate) struct NodeMemory {
 }
 
 /// The names of a node, for monitors and errors.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct NodeLabel {
     pub(crate) path: String,
     /// The name of the node's type, or of the subtree.
@@ -137,7 +141,7 @@ pub(crate) struct LoopQueue {
 /// A change of a node's answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StatusChange {
-    /// The node.
+    /// The node whose answer changed.
     pub node: TreeNodeId,
     /// The answer before.
     pub from: Status,
@@ -149,7 +153,7 @@ pub struct StatusChange {
 #[derive(Clone, Copy, Debug)]
 #[non_exhaustive]
 pub struct NodeView<'a> {
-    /// Its number.
+    /// The node's number in its tree.
     pub id: TreeNodeId,
     /// Its path: the names of the subtrees around it, then its own name, or its type and number.
     pub path: &'a str,
@@ -157,7 +161,7 @@ pub struct NodeView<'a> {
     pub type_name: &'a str,
     /// The number of nodes above it.
     pub depth: u32,
-    /// Its status.
+    /// The node's present status.
     pub status: Status,
     /// The answer of its last tick; `Idle` if it has been halted since.
     pub answer: Status,
@@ -187,7 +191,7 @@ impl Tree {
         // A hundred thousand nodes take a few milliseconds, whatever the size of the tree.
         let ticks = (100_000 / self.nodes.len().max(100)).max(1);
         for _ in 1..ticks {
-            if status != Status::Running || !std::mem::take(&mut self.woken) {
+            if status != Status::Running || !std::mem::take(&mut self.clock.woken) {
                 break;
             }
             status = self.tick_root()?;
@@ -197,10 +201,10 @@ impl Tree {
 
     fn begin(&mut self, now: Duration) {
         // A clock that is set back would stretch every delay.
-        self.now = self.now.max(now);
+        self.clock.now = self.clock.now.max(now);
         self.calling.set(None);
-        (self.wake, self.changes_lost) = (None, 0);
-        self.changes.clear();
+        (self.clock.wake, self.changes.lost) = (None, 0);
+        self.changes.list.clear();
         self.poll_halting();
     }
 
@@ -209,7 +213,7 @@ impl Tree {
         if self.nodes.is_empty() {
             return Ok(Status::Skipped);
         }
-        self.yielded = false;
+        self.clock.yielded = false;
         let status = self.execute(root).map_err(|error| *error)?;
         if status.is_completed() {
             self.node_mut(root).status = Status::Idle;
@@ -224,7 +228,7 @@ impl Tree {
     /// A script `_onHalted` failed; all nodes are halted nevertheless.
     pub fn halt(&mut self, now: Duration) -> Result<(), TickError> {
         self.begin(now);
-        self.yielded = false;
+        self.clock.yielded = false;
         let mut result = Ok(());
         for id in (0..self.nodes.len() as u32).map(TreeNodeId) {
             let running = self.node(id).status == Status::Running;
@@ -238,27 +242,27 @@ impl Tree {
     /// The next time at which a tick can change something by itself: a timer fires, or the last
     /// tick was ended early. The driver itself knows when something comes from outside.
     pub fn next_tick(&self) -> Option<Duration> {
-        if self.yielded { Some(self.now) } else { self.wake }
+        if self.clock.yielded { Some(self.clock.now) } else { self.clock.wake }
     }
 
     /// The path of a node.
     pub fn path(&self, node: TreeNodeId) -> &str {
-        &self.labels[node.0 as usize].path
+        &self.node(node).label.path
     }
 
     /// The node of this path.
     pub fn find(&self, path: &str) -> Option<TreeNodeId> {
-        let index = self.labels.iter().position(|label| label.path == path)?;
+        let index = self.nodes.iter().position(|node| node.label.path == path)?;
         Some(TreeNodeId(index as u32))
     }
 
     /// All nodes, in the order of the file.
     pub fn nodes(&self) -> impl Iterator<Item = NodeView<'_>> {
-        self.nodes.iter().zip(&self.labels).zip(0..).map(|((node, label), id)| NodeView {
+        self.nodes.iter().zip(0..).map(|(node, id)| NodeView {
             id: TreeNodeId(id),
-            path: &label.path,
-            type_name: &label.type_name,
-            depth: label.depth,
+            path: &node.label.path,
+            type_name: &node.label.type_name,
+            depth: node.label.depth,
             status: node.status,
             answer: node.answer,
         })
@@ -266,18 +270,18 @@ impl Tree {
 
     /// The nodes whose answers the last tick has changed, in the order of the answers.
     pub fn changes(&self) -> &[StatusChange] {
-        &self.changes
+        &self.changes.list
     }
 
     /// [`Tree::changes`] as text, one line each: `Drive::3: RUNNING -> SUCCESS`.
     pub fn changes_as_text(&self) -> String {
         let mut text = String::new();
-        for StatusChange { node, from, to } in &self.changes {
+        for StatusChange { node, from, to } in self.changes() {
             // Writing into a String cannot fail.
             let _ = writeln!(text, "{}: {from} -> {to}", self.path(*node));
         }
-        if self.changes_lost > 0 {
-            let _ = writeln!(text, "and {} more", self.changes_lost);
+        if self.changes.lost > 0 {
+            let _ = writeln!(text, "and {} more", self.changes.lost);
         }
         text
     }
@@ -287,10 +291,10 @@ impl Tree {
         let from = std::mem::replace(&mut self.nodes[id.0 as usize].answer, to);
         if from != to {
             // The loader reserves this much; loops within one tick could change without end.
-            if self.changes.len() < self.changes.capacity() {
-                self.changes.push(StatusChange { node: id, from, to });
-            } else {
-                self.changes_lost += 1;
+            let ChangeLog { list, lost } = &mut self.changes;
+            match list.len() < list.capacity() {
+                true => list.push(StatusChange { node: id, from, to }),
+                false => *lost += 1,
             }
         }
     }
@@ -298,7 +302,7 @@ impl Tree {
     /// Reserves the memory that ticks need, so that they allocate none.
     pub(crate) fn reserve(&mut self) {
         // Each node changes in each direction once, and a few do so more often.
-        self.changes.reserve_exact(2 * self.nodes.len() + 64);
+        self.changes.list.reserve_exact(2 * self.nodes.len() + 64);
         self.halting.reserve_exact(self.leaves.len());
     }
 
@@ -369,12 +373,213 @@ impl Tree {
     }
 
     /// Ends the tick, and asks for the next one at once.
-    fn yield_now(&mut self) -> execute::NodeAnswer {
-        (self.yielded, self.woken) = (true, true);
+    fn yield_now(&mut self) -> NodeAnswer {
+        (self.clock.yielded, self.clock.woken) = (true, true);
         Ok(Status::Running)
     }
 
     fn wake_at(&mut self, at: Duration) {
-        self.wake = Some(self.wake.map_or(at, |wake| wake.min(at)));
+        self.clock.wake = Some(self.clock.wake.map_or(at, |wake| wake.min(at)));
+    }
+}
+
+/// The answer of a node in a tick.
+pub(super) type NodeAnswer = Result<Status, Box<TickError>>;
+
+/// A result, or the error of a node.
+type Checked<T> = Result<T, Box<TickError>>;
+
+/// The answers of `_failureIf`, `_successIf` and `_skipIf` where they hold, and of `_while` where
+/// it does not.
+const BEFORE: [Status; 4] = [Status::Failure, Status::Success, Status::Skipped, Status::Skipped];
+
+/// How one node is ticked, reset and halted, whatever its type.
+impl Tree {
+    /// Ticks a node: its conditions before, itself, its scripts after.
+    pub(super) fn execute(&mut self, id: TreeNodeId) -> NodeAnswer {
+        let status = match self.check_before(id)? {
+            Some(status) => status,
+            None => self.tick_kind(id)?,
+        };
+        if status == Status::Idle {
+            return Err(self.may_not_answer(id, status));
+        }
+        if status.is_completed() && self.node(id).hooks.is_some() {
+            self.run_hook(id, if status == Status::Success { 4 } else { 5 })?;
+            self.run_hook(id, 6)?;
+        }
+        // A skipped node keeps its status; only its parent is told.
+        if status != Status::Skipped {
+            self.node_mut(id).status = status;
+        }
+        self.note(id, status);
+        if self.node(id).is_decorator {
+            let child = self.child(id, 0);
+            if self.node(child).status.is_completed() {
+                self.node_mut(child).status = Status::Idle;
+            }
+        }
+        Ok(status)
+    }
+
+    fn tick_kind(&mut self, id: TreeNodeId) -> NodeAnswer {
+        match self.node(id).kind {
+            Kind::Ordered(order) => self.ordered(id, order, self.node(id).child_count),
+            Kind::Reactive { go } => self.reactive(id, go),
+            Kind::Parallel => self.parallel(id),
+            Kind::ParallelAll => self.parallel_all(id),
+            Kind::Branch { looks_again } => self.branch(id, looks_again),
+            Kind::Switch(cases) => self.switch(id, u32::from(cases)),
+            Kind::TryCatch => self.try_catch(id),
+            Kind::Inverter => self.map_child(id, |status| match status {
+                Status::Success => Status::Failure,
+                Status::Failure => Status::Success,
+                other => other,
+            }),
+            Kind::Force(forced) => {
+                self.map_child(id, |status| if status.is_completed() { forced } else { status })
+            }
+            Kind::Repeat { until } => self.repeat(id, until),
+            Kind::KeepRunningUntilFailure => self.map_child(id, |status| match status {
+                Status::Failure => status,
+                _ => Status::Running,
+            }),
+            Kind::Delay => self.delay(id),
+            Kind::Timeout => self.timeout(id),
+            Kind::RunOnce => self.run_once(id),
+            Kind::Precondition => self.precondition(id),
+            Kind::Loop => self.tick_loop(id),
+            Kind::Updated(otherwise) => self.updated(id, otherwise),
+            Kind::SubTree => self.subtree(id),
+            Kind::Always(status) => Ok(status),
+            Kind::Script => self.run(id, self.node(id).part).map(|_| Status::Success),
+            Kind::ScriptCondition => self.holds(id, self.node(id).part).map(Status::from),
+            Kind::SetBlackboard => self.set_blackboard(id),
+            Kind::UnsetBlackboard => self.unset_blackboard(id),
+            Kind::Sleep => self.sleep(id),
+            Kind::WasEntryUpdated => Ok(Status::from(self.is_updated(id))),
+            Kind::Leaf(kind) => self.tick_leaf(id, kind),
+        }
+    }
+
+    /// The decision of a node's conditions. All but `_while` are looked at only before it starts.
+    fn check_before(&mut self, id: TreeNodeId) -> Checked<Option<Status>> {
+        let node = self.node(id);
+        if node.hooks.is_none() {
+            return Ok(None);
+        }
+        let fresh = matches!(node.status, Status::Idle | Status::Skipped);
+        let running = node.status == Status::Running;
+        for (index, status) in BEFORE.into_iter().enumerate() {
+            let is_while = index == 3;
+            let Some(code) = self.hook(id, index) else { continue };
+            if (fresh || running && is_while) && self.holds(id, code)? != is_while {
+                if running {
+                    self.halt_node(id)?;
+                }
+                return Ok(Some(status));
+            }
+        }
+        Ok(None)
+    }
+
+    /// Runs `_onSuccess`, `_onFailure`, `_post` or `_onHalted`, by its index.
+    fn run_hook(&mut self, id: TreeNodeId, index: usize) -> Checked<()> {
+        self.hook(id, index).map_or(Ok(()), |code| self.run(id, code).map(drop))
+    }
+
+    fn hook(&self, id: TreeNodeId, index: usize) -> Option<u32> {
+        self.node(id).hooks.as_ref()?[index]
+    }
+
+    /// Runs a script of a node.
+    pub(super) fn run(&mut self, id: TreeNodeId, code: u32) -> Checked<Value> {
+        let Code { text, script } = &self.codes[code as usize];
+        script
+            .run(&mut self.board)
+            .map_err(|why| self.error(id, format!("its script `{text}` fails: {why}")))
+    }
+
+    /// Whether a script of a node holds.
+    pub(super) fn holds(&mut self, id: TreeNodeId, code: u32) -> Checked<bool> {
+        let value = self.run(id, code)?;
+        truth(&value).ok_or_else(|| {
+            let text = &self.codes[code as usize].text;
+            self.error(
+                id,
+                format!("its script `{text}` fails: `{value}` is neither true nor false"),
+            )
+        })
+    }
+
+    /// Brings a child into the state from which it starts: halts it if it runs.
+    pub(super) fn reset(&mut self, id: TreeNodeId) -> Checked<()> {
+        if self.node(id).status == Status::Running {
+            self.halt_node(id)?;
+        }
+        self.node_mut(id).status = Status::Idle;
+        Ok(())
+    }
+
+    /// Resets the children from this one on.
+    pub(super) fn reset_children(&mut self, id: TreeNodeId, from: u32) -> Checked<()> {
+        for index in from..self.node(id).child_count {
+            self.reset(self.child(id, index))?;
+        }
+        Ok(())
+    }
+
+    /// Halts a node, also one that does not run, and runs its `_onHalted`.
+    pub(super) fn halt_node(&mut self, id: TreeNodeId) -> Checked<()> {
+        self.clear(id)?;
+        self.note(id, Status::Idle);
+        self.run_hook(id, 7)
+    }
+
+    /// Resets the children, and the memory that does not outlive a halt.
+    pub(super) fn clear(&mut self, id: TreeNodeId) -> Checked<()> {
+        let node = self.node_mut(id);
+        let memory = &mut node.memory;
+        match node.kind {
+            // Their memory outlives a halt.
+            Kind::Ordered(TickOrder { keeps: true, .. })
+            | Kind::RunOnce
+            | Kind::Precondition
+            | Kind::WasEntryUpdated => {}
+            Kind::Updated(_) => memory.flag = false,
+            Kind::TryCatch => self.halt_try_catch(id)?,
+            Kind::Leaf(_) => self.halt_leaf(id),
+            _ => (memory.index, memory.count, memory.failures, memory.flag) = (0, 0, 0, false),
+        }
+        self.undo_done(id);
+        self.reset_children(id, 0)?;
+        self.node_mut(id).status = Status::Idle;
+        Ok(())
+    }
+
+    /// Lets a `Parallel` tick all its children again.
+    pub(super) fn undo_done(&mut self, id: TreeNodeId) {
+        for index in 0..self.node(id).child_count {
+            let child = self.child(id, index);
+            self.node_mut(child).done = false;
+        }
+    }
+
+    /// The value of a port of a built-in node.
+    pub(super) fn port<T: PortValue>(&self, id: TreeNodeId, port: usize) -> Checked<T> {
+        let value = leaf::read(self, self.bound(id, port));
+        value.map_err(|error| self.error(id, error))
+    }
+
+    pub(super) fn may_not_answer(&self, id: TreeNodeId, status: Status) -> Box<TickError> {
+        self.error(id, format!("it answered {status}, which it may not"))
+    }
+
+    pub(super) fn error(&self, id: TreeNodeId, why: impl ToString) -> Box<TickError> {
+        self.failed(id, TickProblem::Node(why.to_string()))
+    }
+
+    pub(super) fn failed(&self, id: TreeNodeId, problem: TickProblem) -> Box<TickError> {
+        Box::new(TickError { node: id, path: self.path(id).to_owned(), problem })
     }
 }

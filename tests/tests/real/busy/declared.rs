@@ -1,8 +1,9 @@
 //! Faults that a component declares of itself, beside two busy threads.
 
-use super::{BusyThreads, LONG, burn};
+use super::{BusyThreads, LONG};
 use blastema::core::detection::FaultEntry;
 use blastema::prelude::*;
+use blastema_tests::{burn, until};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::Relaxed;
@@ -33,27 +34,19 @@ fn a_check_that_passes_again_ends_its_fault() {
             .rate_hz(50.0)
             .max_delay(LONG);
         let node = Node::builder("module1").child(joint).start().await.unwrap();
-        let checks = async |count: usize, is_over: fn(&FaultEntry) -> bool| {
-            let reached = async {
-                loop {
-                    let entries = node.faults().await.entries.into_iter();
-                    let mut checks = entries.filter(|e| e.fault.kind == FaultKind::CheckFailed);
-                    let (first, rest) = (checks.next(), checks.count());
-                    if rest + usize::from(first.is_some()) == count
-                        && first.is_some_and(|e| is_over(&e))
-                    {
-                        return;
-                    }
-                    blastema::sleep(Duration::from_millis(20)).await;
-                }
+        let one_check = async |is_right: fn(&FaultEntry) -> bool, what| {
+            let is_so = async || {
+                let mut entries = node.faults().await.entries;
+                entries.retain(|entry| entry.fault.kind == FaultKind::CheckFailed);
+                matches!(&entries[..], [check] if is_right(check))
             };
-            assert!(tokio::time::timeout(LONG, reached).await.is_ok(), "{count} faults: never");
+            until(is_so, what).await;
         };
 
         oil.store(false, Relaxed);
-        checks(1, |check| check.stands() && check.fault.count > 2).await;
+        one_check(|check| check.stands() && check.fault.count > 2, "one that stands").await;
         oil.store(true, Relaxed);
-        checks(1, |check| !check.stands()).await;
+        one_check(|check| !check.stands(), "one that is over").await;
         node.shutdown().await;
     });
 }

@@ -1,7 +1,7 @@
 //! A component that gets more than it can serve, beside one that has to keep its rounds.
 
-use super::burn;
 use blastema::prelude::*;
+use blastema_tests::{accepts, burn};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -17,19 +17,6 @@ type Steps = Arc<Mutex<Vec<Step>>>;
 #[derive(Clone, Event)]
 struct Load;
 
-struct Busy(Steps);
-impl Component for Busy {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.accept::<Load>();
-    }
-}
-impl Handle<Load> for Busy {
-    async fn handle(&mut self, _: Load, _: &mut Context<Self>) {
-        burn(Duration::from_millis(30));
-        self.0.lock().unwrap().push(Step::Work);
-    }
-}
-
 struct Safety(Steps);
 impl Component for Safety {
     async fn on_execute(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
@@ -44,7 +31,10 @@ fn a_safety_component_has_its_round_between_any_two_messages_of_an_overloaded_ne
     blastema::run(async {
         let steps = Steps::default();
         let (worked, rounds) = (steps.clone(), steps.clone());
-        let busy = ChildSpec::new("busy", move || Busy(worked.clone()));
+        let busy = accepts("busy", worked, |steps, _: Load, _| {
+            burn(Duration::from_millis(30));
+            steps.lock().unwrap().push(Step::Work);
+        });
         let safety = ChildSpec::new("safety", move || Safety(rounds.clone()));
         let node = Node::builder("module1")
             .work_threads(1)

@@ -1,10 +1,11 @@
 //! Groups and queues, beside two threads that keep the processors.
 
-use super::{BusyThreads, LONG, burn};
+use super::{BusyThreads, LONG};
 use blastema::core::delivery::dead_letters::DeadReason;
 use blastema::core::detection::FaultEntry;
 use blastema::prelude::*;
 use blastema::{FaultStatus, Incarnation, Outcome, VariableRef};
+use blastema_tests::{burn, found, until};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU32;
 use std::sync::atomic::Ordering::SeqCst;
@@ -82,21 +83,13 @@ fn a_group_whose_recoveries_all_work_never_ends_in_the_safe_state() {
                 let entries = node.faults().await.entries.into_iter();
                 entries.filter(|entry| entry.fault.kind == FaultKind::Panic).collect::<Vec<_>>()
             };
-            let settled = async {
+            let settled = async || {
                 let is_over = |entry: &FaultEntry| entry.status() == FaultStatus::Closed;
-                loop {
-                    let panics = panics().await;
-                    let count: u32 = panics.iter().map(|entry| entry.fault.count).sum();
-                    if count == 6 && panics.iter().all(is_over) {
-                        return;
-                    }
-                    tokio::time::sleep(Duration::from_millis(10)).await;
-                }
+                let panics = panics().await;
+                let count: u32 = panics.iter().map(|entry| entry.fault.count).sum();
+                (count == 6 && panics.iter().all(is_over)).then_some(panics)
             };
-            let settled = tokio::time::timeout(LONG, settled).await;
-            let panics = panics().await;
-            assert!(settled.is_ok(), "run {run}: {panics:#?}");
-            for entry in panics {
+            for entry in found(settled, &format!("run {run}: six panics that are over")).await {
                 let decided = entry.decided.as_ref().map_or("", |(_, action)| action.as_str());
                 assert!(!decided.contains("attempt"), "run {run}: {entry:?}");
             }
@@ -137,13 +130,8 @@ fn what_waits_for_a_component_that_is_given_up_because_it_hangs_is_refused() {
         assert!(text.ends_with(&format!(", fault {}", id.0)), "{text}");
         assert_eq!(refused.outcome(), Outcome::NotTaken);
         let arm = "arm".parse().unwrap();
-        let counted = || node.dead_letters().count(&arm, DeadReason::Isolated) == 21;
-        let all = async {
-            while !counted() {
-                tokio::time::sleep(Duration::from_millis(10)).await;
-            }
-        };
-        tokio::time::timeout(LONG, all).await.expect("each message is counted");
+        let all = async || node.dead_letters().count(&arm, DeadReason::Isolated) == 21;
+        until(all, "each message is counted").await;
         node.restart_child("arm").await.unwrap();
         assert_eq!(who.ask_within(Who, LONG).await.unwrap(), 2, "it serves what is new");
         node.shutdown().await;
@@ -215,13 +203,8 @@ fn a_component_and_its_variable_agree_on_the_parameters_that_were_set_last() {
             }
 
             let wanted = settings.read().await.unwrap().value.speed;
-            let agrees = async {
-                while runs_with.load(SeqCst) != wanted {
-                    tokio::time::sleep(Duration::from_millis(1)).await;
-                }
-            };
-            let agrees = tokio::time::timeout(LONG, agrees).await;
-            assert!(agrees.is_ok(), "{round}: {} and {wanted}", runs_with.load(SeqCst));
+            let agrees = async || runs_with.load(SeqCst) == wanted;
+            until(agrees, &format!("round {round}: it runs with {wanted}")).await;
         }
         node.shutdown().await;
     });
@@ -299,13 +282,9 @@ fn a_flood_refuses_nothing_at_another_port_and_costs_no_incarnation_its_mode() {
             for round in 1..=32 {
                 mode.publish(Mode(round)).unwrap();
                 die.tell(Die).expect("the flood takes none of its places");
-                let is_in_mode = async {
-                    while [&runs_in.0, &runs_in.1].map(|n| n.load(SeqCst)) != [round + 1, round] {
-                        tokio::time::sleep(Duration::from_millis(1)).await;
-                    }
-                };
-                let is_in_mode = tokio::time::timeout(LONG, is_in_mode).await;
-                assert!(is_in_mode.is_ok(), "round {round}: {runs_in:?}");
+                let is_in_mode =
+                    async || [&runs_in.0, &runs_in.1].map(|n| n.load(SeqCst)) == [round + 1, round];
+                until(is_in_mode, &format!("it is in the mode of round {round}")).await;
             }
         };
         tokio::select! {

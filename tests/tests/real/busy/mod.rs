@@ -11,18 +11,10 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::Relaxed;
 use std::thread::{self, JoinHandle};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// As long as anything here may take on a busy machine.
 const LONG: Duration = Duration::from_secs(60);
-
-/// Keeps its thread for so long.
-fn burn(span: Duration) {
-    let start = Instant::now();
-    while start.elapsed() < span {
-        std::hint::spin_loop();
-    }
-}
 
 /// Two threads that keep two processors until this is dropped.
 struct BusyThreads {

@@ -1,21 +1,12 @@
 //! Robots that stop, on real threads beside two that are busy. Nothing here measures time.
 
-use super::{BusyThreads, LONG, burn};
+use super::{BusyThreads, LONG};
 use blastema::prelude::*;
 use blastema::{ActuatorSpec, Commander, Hold, LeaseStatus, Lifecycle};
-use std::sync::mpsc::{self, Receiver};
+use blastema_tests::{accepts, burn, moves, until};
+use std::sync::mpsc;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
-
-/// Waits until this holds.
-async fn until(what: &str, mut holds: impl FnMut() -> bool) {
-    let reached = async {
-        while !holds() {
-            blastema::sleep(Duration::from_millis(5)).await;
-        }
-    };
-    assert!(tokio::time::timeout(LONG, reached).await.is_ok(), "{what}: never");
-}
 
 #[derive(Clone, Debug, Request)]
 #[contract(name = "stops/turn", reply = ())]
@@ -82,12 +73,12 @@ fn wheels_are_stopped_before_each_deactivation_however_busy_the_computer_is() {
                 _ => {
                     let actor = node.actor::<Wheels>("wheels").unwrap();
                     actor.deactivate();
-                    until("it is deactivated", || deactivations() == n + 1).await;
-                    until("it is active", || {
+                    until(async || deactivations() == n + 1, "it is deactivated").await;
+                    let is_active = async || {
                         actor.activate();
                         actor.state() == Lifecycle::Active
-                    })
-                    .await;
+                    };
+                    until(is_active, "it is active").await;
                 }
             }
         }
@@ -173,9 +164,9 @@ fn a_base_stops_once_when_its_goals_cease_though_their_forwarder_lives() {
         for goal in 1..=3 {
             goals.publish(Goal(goal)).unwrap();
             (0..4).for_each(|_| load.tell(Load).unwrap());
-            until("the goal is followed", || log.lock().unwrap().contains(&format!("turn {goal}")))
-                .await;
-            until("the base stops", || turns("turn 0")).await;
+            let is_followed = async || log.lock().unwrap().contains(&format!("turn {goal}"));
+            until(is_followed, "the goal is followed").await;
+            until(async || turns("turn 0"), "the base stops").await;
             blastema::sleep(Duration::from_millis(1200)).await;
             let stops = log.lock().unwrap().iter().filter(|turn| *turn == "turn 0").count();
             assert_eq!(stops, usize::try_from(goal).unwrap(), "once: {:?}", log.lock().unwrap());
@@ -190,35 +181,6 @@ fn a_base_stops_once_when_its_goals_cease_though_their_forwarder_lives() {
 #[derive(Clone, Debug, Event)]
 struct Keep;
 
-struct Neighbour(Arc<Mutex<Receiver<()>>>);
-
-impl Component for Neighbour {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.accept::<Keep>();
-    }
-}
-
-impl Handle<Keep> for Neighbour {
-    async fn handle(&mut self, _: Keep, _: &mut Context<Self>) {
-        // An error: the test has failed.
-        let _ = self.0.lock().unwrap().recv_timeout(LONG);
-    }
-}
-
-/// Has its neighbour keep their thread once it turns.
-struct Cart(Log);
-
-impl Component for Cart {}
-
-impl Handle<Turn> for Cart {
-    async fn handle(&mut self, turn: Turn, cx: &mut Context<Self>) {
-        if turn.0 > 0 {
-            cx.sender::<Keep>("neighbour").unwrap().tell(Keep).unwrap();
-        }
-        self.0.lock().unwrap().push(format!("turn {}", turn.0));
-    }
-}
-
 #[test]
 fn a_neighbour_that_keeps_the_thread_past_the_command_timeout_has_the_actuator_cut_off() {
     let _turn = blastema_doubles::turn();
@@ -227,24 +189,30 @@ fn a_neighbour_that_keeps_the_thread_past_the_command_timeout_has_the_actuator_c
     let (release, released) = mpsc::channel();
     let released = Arc::new(Mutex::new(released));
     blastema::run(async {
-        let neighbour = ChildSpec::new("neighbour", move || Neighbour(released.clone()));
-        let cart = ChildSpec::new("cart", move || Cart(kept.clone()))
-            .max_wait(Duration::from_millis(200))
-            .max_delay(LONG)
-            .with_ports(move |ports| {
-                let spec = ActuatorSpec::new(Turn(0), Duration::from_secs(2)).lease(LONG);
-                ports.actuator(spec.cut_off(move || cut.lock().unwrap().push("cut off".into())));
-            });
+        let neighbour = accepts("neighbour", released, |released, _: Keep, _| {
+            // An error: the test has failed.
+            let _ = released.lock().unwrap().recv_timeout(LONG);
+        });
+        let spec = ActuatorSpec::new(Turn(0), Duration::from_secs(2)).lease(LONG);
+        let spec = spec.cut_off(move || cut.lock().unwrap().push("cut off".into()));
+        // It has its neighbour keep their thread once it turns.
+        let cart = moves("cart", spec, kept, |log, Turn(turn), cx| {
+            if turn > 0 {
+                cx.sender::<Keep>("neighbour").unwrap().tell(Keep).unwrap();
+            }
+            log.lock().unwrap().push(format!("turn {turn}"));
+        });
+        let cart = cart.max_wait(Duration::from_millis(200)).max_delay(LONG);
         let node = Node::builder("module1").work_threads(1).child(neighbour.max_block(2 * LONG));
         let node = node.child(cart).start().await.unwrap();
         let commander = node.commander::<Turn>("cart", "console").unwrap();
         commander.claim_within(LONG).await.unwrap();
         commander.command(Turn(1)).await.unwrap();
 
-        until("it is cut off", || log.lock().unwrap().len() == 2).await;
+        until(async || log.lock().unwrap().len() == 2, "it is cut off").await;
         assert_eq!(*log.lock().unwrap(), ["turn 1", "cut off"]);
         release.send(()).unwrap();
-        until("it gets its safe command", || log.lock().unwrap().len() == 3).await;
+        until(async || log.lock().unwrap().len() == 3, "it gets its safe command").await;
         assert_eq!(*log.lock().unwrap(), ["turn 1", "cut off", "turn 0"]);
         node.shutdown().await;
     });

@@ -80,7 +80,6 @@ impl Source {
     }
 }
 
-/// One `Cargo.toml`.
 #[derive(Debug)]
 pub(crate) struct Manifest {
     pub(crate) path: String,

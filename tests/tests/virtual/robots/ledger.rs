@@ -23,7 +23,7 @@ pub(crate) enum What {
     Began,
     /// A hook other than `on_execute` was called.
     Hook(&'static str),
-    /// A round.
+    /// A round of `on_execute` began.
     Round,
     /// A request with this number is being served.
     Serving(u64),

@@ -188,11 +188,7 @@ impl Part {
 
     /// Computes for as long as each of its handlers does.
     fn work(&self) {
-        let start = Instant::now();
-        let span = Duration::from_millis(self.plan.work_ms);
-        while start.elapsed() < span {
-            std::hint::spin_loop();
-        }
+        blastema_tests::burn(Duration::from_millis(self.plan.work_ms));
     }
 
     async fn act(&mut self, hook: &'static str, cx: &Context<Self>) -> Result<(), Failure> {
@@ -286,38 +282,15 @@ impl Component for Part {
         ports.accept::<Load>();
     }
 
-    async fn on_initialize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.act("on_initialize", cx).await
-    }
-    async fn on_startup(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.act("on_startup", cx).await
-    }
-    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.act("on_activated", cx).await
+    blastema_tests::hooks! {
+        on_initialize on_startup on_activated on_deactivated on_aborting on_error on_reset
+        on_shutdown on_finalize
     }
     async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
         self.write(What::Round);
         self.work();
         self.publish(cx);
         self.act("on_execute", cx).await
-    }
-    async fn on_deactivated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.act("on_deactivated", cx).await
-    }
-    async fn on_aborting(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.act("on_aborting", cx).await
-    }
-    async fn on_error(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.act("on_error", cx).await
-    }
-    async fn on_reset(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.act("on_reset", cx).await
-    }
-    async fn on_shutdown(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.act("on_shutdown", cx).await
-    }
-    async fn on_finalize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.act("on_finalize", cx).await
     }
 }
 

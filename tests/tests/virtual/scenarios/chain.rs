@@ -76,11 +76,11 @@ async fn a_router_that_panics_is_recorded_and_lives_on() {
 
     for _ in 0..3 {
         node.panic_router();
-        node.await_fault(FaultKind::Panic, "net/router").await;
-        node.await_recovered(FaultKind::Panic, "net/router").await;
+        node.await_fault(FaultKind::Panic, "net/stack").await;
+        node.await_recovered(FaultKind::Panic, "net/stack").await;
         node.advance(Duration::from_secs(10)).await;
     }
 
     node.expect_no_faults().await;
-    assert_eq!(node.row("net/router").await.restarts, 3);
+    assert_eq!(node.row("net/stack").await.restarts, 3);
 }

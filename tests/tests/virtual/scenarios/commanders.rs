@@ -195,17 +195,10 @@ async fn two_of_one_name_fence_each_other_by_epoch() {
     assert_eq!(robot.speeds(), [2.0]);
 }
 
-/// Drives, until it is stuck.
+/// Drives, for as long as it lives.
 struct Planner;
 
-#[derive(Clone, Debug, Event)]
-struct Stick;
-
 impl Component for Planner {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.accept::<Stick>();
-    }
-
     async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
         let wheels = cx.commander::<Drive>("module2:wheels")?;
         // The first incarnation of all finds no network yet.
@@ -221,12 +214,6 @@ impl Component for Planner {
     }
 }
 
-impl Handle<Stick> for Planner {
-    async fn handle(&mut self, _: Stick, cx: &mut Context<Self>) {
-        cx.stop();
-    }
-}
-
 #[blastema_testkit::test]
 async fn the_next_incarnation_of_a_commander_goes_on_without_a_stop() {
     let planner = ChildSpec::new("planner", || Planner);
@@ -239,33 +226,6 @@ async fn the_next_incarnation_of_a_commander_goes_on_without_a_stop() {
 
     let speeds = robot.speeds();
     assert!(matches!(speeds[..], [1.0, 1.0] | [1.0, 0.0, 1.0]), "{speeds:?}");
-}
-
-#[blastema_testkit::test]
-async fn a_commander_that_is_gone_for_good_leaves_the_wheels_at_rest() {
-    let planner = ChildSpec::new("planner", || Planner);
-    let add = |node: NodeBuilder| node.child_with(planner, Restart::Temporary);
-    let robot = Robot::start_with(add).await;
-
-    robot.here.sender::<Stick>("planner").unwrap().tell(Stick).unwrap();
-    robot.here.advance(BOUND + 10 * MS).await;
-
-    assert_eq!(robot.speeds(), [1.0, 0.0]);
-}
-
-#[blastema_testkit::test]
-async fn wheels_that_are_between_two_incarnations_are_stopped_in_the_next() {
-    let mut robot = Robot::start().await;
-    let commander = robot.commander("console");
-    commander.claim().await.unwrap();
-    commander.command(Drive(1.0)).await.unwrap();
-
-    drop(commander);
-    robot.there.kill("wheels");
-    robot.there.await_recovered(FaultKind::Panic, "wheels").await;
-    robot.here.advance(100 * MS).await;
-
-    assert_eq!(robot.speeds().last(), Some(&0.0));
 }
 
 /// The scan of a laser: no bulk.

@@ -114,10 +114,10 @@ impl RecoveryStrategy for OpenGripper {
     async fn carry_out(
         &self,
         order: &RecoveryOrder,
-        tools: &StrategyContext,
+        context: &StrategyContext,
     ) -> Result<RecoveryDone, RecoveryFailed> {
         tokio::time::sleep(Duration::from_millis(40)).await;
-        tools.restart(&order.fault).await
+        context.restart(&order.fault).await
     }
 }
 

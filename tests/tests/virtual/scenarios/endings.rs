@@ -72,15 +72,15 @@ async fn the_end_of_a_temporary_one_that_did_not_come_to_work_is_told_once() {
     node.await_given_up(FaultKind::InitializationFailed, "arm").await;
     node.advance(1000 * MS).await;
 
-    let told = strings.lines("mourns");
-    assert!(matches!(&told[..], [one] if one.starts_with("ear#1 mourns arm#1")), "{told:?}");
+    let told = strings.lines("watched");
+    assert!(matches!(&told[..], [one] if one.starts_with("ear#1 watched arm#1")), "{told:?}");
 }
 
 #[blastema_testkit::test]
 async fn one_that_does_not_come_to_work_has_failed_whichever_hook_failed() {
     for hook in ["on_initialize", "on_startup", "on_activated"] {
-        let (strings, node) = Strings::robot(["arm", "widow"]).await;
-        ask(&node, "widow", Deed::Watch("arm".into())).await.unwrap();
+        let (strings, node) = Strings::robot(["arm", "watcher"]).await;
+        ask(&node, "watcher", Deed::Watch("arm".into())).await.unwrap();
         strings.pull("arm", hook, Pull::Fail("jammed"));
         strings.pull("arm", "on_aborting", Pull::Wait(50 * MS));
 
@@ -88,8 +88,8 @@ async fn one_that_does_not_come_to_work_has_failed_whichever_hook_failed() {
         let _ = node.restart_child("arm").await;
         node.advance(1000 * MS).await;
 
-        let told = strings.lines("mourns");
-        let expected = ["widow#1 mourns arm#1: Stopped", "widow#1 mourns arm#2: Fatal"];
+        let told = strings.lines("watched");
+        let expected = ["watcher#1 watched arm#1: Stopped", "watcher#1 watched arm#2: Fatal"];
         assert_eq!(told, expected, "{hook}");
         let kinds = node.faults().await.entries.into_iter().map(|entry| entry.fault.kind);
         let kinds: Vec<_> = kinds.collect();

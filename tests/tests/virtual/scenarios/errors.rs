@@ -81,18 +81,6 @@ async fn a_reset_that_fails_is_followed_by_a_restart() {
 }
 
 #[blastema_testkit::test]
-async fn a_reset_that_never_answers_is_followed_by_a_restart() {
-    let strings = Strings::default();
-    let mut node = node_of(&strings).await;
-    strings.pull("arm", "on_reset", Pull::Wait(Duration::from_secs(3600)));
-
-    fail(&node, "the gripper slips").await;
-    node.await_recovered(FaultKind::ErrorState, "arm").await;
-
-    assert_eq!(incarnation(&node, "arm").await, 2);
-}
-
-#[blastema_testkit::test]
 async fn a_fatal_failure_is_answered_by_a_new_incarnation() {
     let strings = Strings::default();
     let mut node = node_of(&strings).await;
@@ -104,29 +92,6 @@ async fn a_fatal_failure_is_answered_by_a_new_incarnation() {
     assert_eq!((fault.detail.as_str(), fault.severity), ("it burns", Severity::Critical));
     assert_eq!(incarnation(&node, "arm").await, 2);
     node.expect_no_faults().await;
-}
-
-#[blastema_testkit::test]
-async fn a_panic_while_it_aborts_or_resets_is_answered_by_a_new_incarnation() {
-    for hook in ["on_aborting", "on_error", "on_reset"] {
-        let strings = Strings::default();
-        let mut node = node_of(&strings).await;
-        strings.pull("arm", hook, Pull::Panic("worse and worse"));
-
-        fail(&node, "the gripper slips").await;
-        node.await_fault(FaultKind::Panic, "arm").await;
-        node.await_recovered(FaultKind::Panic, "arm").await;
-        node.advance(Duration::from_secs(5)).await;
-
-        assert_eq!(incarnation(&node, "arm").await, 2, "{hook}");
-        let record = node.faults().await;
-        let stands: Vec<_> = record
-            .entries
-            .iter()
-            .filter(|entry| entry.status() == blastema::FaultStatus::Open)
-            .collect();
-        assert!(stands.is_empty(), "{hook}: {stands:?}");
-    }
 }
 
 #[blastema_testkit::test]

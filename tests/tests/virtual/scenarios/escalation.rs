@@ -1,7 +1,6 @@
 //! Restarts that are not worth it any more.
 
 use crate::scenarios::puppet::{Deed, Do, Pull, Strings, ask, incarnation, strike};
-use blastema::core::detection::Opinion;
 use blastema::core::recovery::{Backoff, ChildState};
 use blastema::prelude::*;
 use blastema::{Fault, FaultLocation, NodeBuilder};
@@ -107,54 +106,6 @@ async fn a_root_that_gives_up_brings_the_node_to_safe_rest() {
     assert!(strings.diary().contains(&"lamp#1 on_finalize".into()), "everything was stopped");
     let refused = ask(&node, "lamp", Deed::Nothing).await.expect_err("it is in the safe state");
     assert_eq!(refused.kind, DeliveryError::Stopped);
-}
-
-#[blastema_testkit::test]
-async fn a_budget_that_is_spent_comes_back_with_time() {
-    let strings = Strings::default();
-    let mut node = TestNode::start(robot(&strings)).await;
-
-    for n in 1..=5 {
-        strike(&node, "motors").await;
-        node.await_recovered(FaultKind::Panic, "motors").await;
-        assert_eq!(incarnation(&node, "motors").await, n + 1);
-        node.advance(PERIOD + Duration::from_millis(1)).await;
-    }
-
-    assert_eq!(node.tree().await.unwrap().children[1].incarnation.0, 1, "drive never gave up");
-}
-
-#[blastema_testkit::test]
-async fn a_temporary_child_is_not_missed_and_a_transient_one_only_when_it_failed() {
-    let strings = Strings::default();
-    let group = SupervisorSpec::new("group", Strategy::OneForOne)
-        .child_with(strings.spec("guest"), Restart::Temporary)
-        .child_with(strings.spec("job"), Restart::Transient);
-    let node = TestNode::start(Node::builder("module1").supervisor(group)).await;
-
-    strike(&node, "guest").await;
-    strike(&node, "job").await;
-    node.advance(Duration::from_secs(1)).await;
-    assert_eq!(incarnation(&node, "job").await, 2, "it had failed");
-    ask(&node, "job", Deed::Stop).await.unwrap();
-    node.advance(Duration::from_secs(60)).await;
-
-    let tree = node.tree().await.unwrap();
-    let states: Vec<_> =
-        tree.children[0].below.as_ref().unwrap().children.iter().map(|leaf| leaf.state).collect();
-    assert_eq!(states, [ChildState::Finished; 2]);
-    let record = node.faults().await;
-    let kinds: Vec<_> = record.entries.iter().map(|entry| entry.fault.kind.clone()).collect();
-    assert_eq!(
-        kinds,
-        [FaultKind::Panic, FaultKind::Panic],
-        "an end in order is no fault of theirs"
-    );
-    assert!(
-        record.entries.iter().all(|entry| entry.status() != blastema::FaultStatus::Open),
-        "{record:?}"
-    );
-    assert_eq!(node.row("job").await.opinion, Opinion::Stopped);
 }
 
 #[blastema_testkit::test]

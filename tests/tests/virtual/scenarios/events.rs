@@ -1,27 +1,11 @@
 //! Publishing and listening, across deaths.
 
-use crate::scenarios::puppet::{Deed, News, Strings};
+use crate::scenarios::puppet::{News, Strings};
 use blastema::SpecError;
 use blastema::core::delivery::dead_letters::DeadReason;
 use blastema::prelude::*;
 use blastema_testkit::{Harness, TestNode};
 use blastema_tests::part;
-use std::time::Duration;
-
-#[blastema_testkit::test]
-async fn an_event_that_comes_while_the_listener_is_busy_waits_in_its_queue() {
-    let (strings, node) = Strings::robot(["ear"]).await;
-    let news = node.publisher::<News>("test/news").unwrap();
-
-    node.sender("ear").unwrap().tell(crate::scenarios::puppet::Do(Deed::Await(500))).unwrap();
-    node.settle().await;
-    (1..=4).for_each(|n| news.publish(News(n)).unwrap());
-    node.advance(Duration::from_millis(499)).await;
-    assert_eq!(strings.lines("news"), [""; 0]);
-    node.advance(Duration::from_millis(1)).await;
-
-    assert_eq!(strings.lines("news"), ["ear#1 news 1", "ear#1 news 3"]);
-}
 
 #[blastema_testkit::test]
 async fn an_event_whose_condition_panics_is_a_dead_letter_of_its_listener() {

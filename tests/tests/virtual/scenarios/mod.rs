@@ -5,7 +5,6 @@
 
 mod chain;
 mod changes;
-mod chaos;
 mod command_timeouts;
 mod commanders;
 mod conditions;
@@ -38,7 +37,6 @@ mod stops;
 mod strategies;
 mod throwers;
 mod topics;
-mod tree;
 mod two_types;
 mod variables;
 mod watching;

@@ -20,7 +20,7 @@ const LEASE: Duration = Duration::from_secs(1);
 #[contract(name = "map/where", reply = String)]
 struct Where;
 
-/// Panics.
+/// Has the receiver panic.
 #[derive(Clone, Debug, Event)]
 #[contract(name = "map/boom")]
 struct Boom;
@@ -282,7 +282,7 @@ impl Undisputed for TestNode {
     }
 }
 
-/// Ends itself.
+/// Has the receiver end itself.
 #[derive(Clone, Debug, Event)]
 #[contract(name = "map/enough")]
 struct Enough;

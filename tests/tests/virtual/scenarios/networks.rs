@@ -306,8 +306,8 @@ async fn a_router_that_panics_in_between_loses_nothing_that_is_sent_reliably() {
     }
     robot.module1.advance(2000 * MS).await;
 
-    robot.module1.await_fault(FaultKind::Panic, "net/router").await;
-    robot.module1.await_recovered(FaultKind::Panic, "net/router").await;
+    robot.module1.await_fault(FaultKind::Panic, "net/stack").await;
+    robot.module1.await_recovered(FaultKind::Panic, "net/stack").await;
     let sent: Vec<String> = (0..100).map(|n| format!("laser#1 note {n}")).collect();
     assert_eq!(strings.lines("note"), sent);
 }

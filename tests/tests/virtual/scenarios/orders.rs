@@ -5,6 +5,7 @@ use blastema::{
     ActuatorSpec, ComponentOrder, Connected, LostCommunicationPolicy, OrderReply, OrderVerb, Rung,
 };
 use blastema_testkit::TestNode;
+use blastema_tests::{Part, moves};
 use std::time::Duration;
 
 const SECOND: Duration = Duration::from_secs(1);
@@ -16,16 +17,8 @@ enum Drive {
     Stop,
 }
 
-struct Wheels;
-
-impl Component for Wheels {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.actuator(ActuatorSpec::new(Drive::Safe, SECOND));
-    }
-}
-
-impl Handle<Drive> for Wheels {
-    async fn handle(&mut self, _: Drive, _: &mut Context<Self>) {}
+fn wheels() -> ChildSpec<Part<(), Drive>> {
+    moves("wheels", ActuatorSpec::new(Drive::Safe, SECOND), (), |(), _, _| {})
 }
 
 async fn order(node: &TestNode, verb: OrderVerb, name: Option<&str>) -> OrderReply {
@@ -37,7 +30,7 @@ async fn a_person_acknowledges_that_communication_is_back_and_others_command_aga
     let needs = Connected::heartbeat("orders/beat").timeout(SECOND);
     let stop = Rung::command("stop", "wheels", Drive::Stop);
     let policy = LostCommunicationPolicy::new("operator", needs).after(SECOND, stop);
-    let builder = Node::builder("rover").child(ChildSpec::new("wheels", || Wheels));
+    let builder = Node::builder("rover").child(wheels());
     let node = TestNode::start(builder.lost_communication(policy.until_acknowledged())).await;
     let beats = node.heartbeat("orders/beat", SECOND / 10).unwrap();
     node.advance(3 * SECOND).await;
@@ -52,7 +45,7 @@ async fn a_person_acknowledges_that_communication_is_back_and_others_command_aga
     node.advance(5 * SECOND).await;
     let rows = order(&node, OrderVerb::List, None).await.rows;
     let shown: Vec<_> = rows.iter().map(|row| (&*row.name, &*row.kind, &*row.state)).collect();
-    assert_eq!(shown, [("wheels", "Wheels", "active"), ("operator", "policy", "stop")]);
+    assert_eq!(shown, [("wheels", "Part", "active"), ("operator", "policy", "stop")]);
     assert_eq!(rows[1].note, "communication is back: acknowledge");
     let unknown = order(&node, OrderVerb::Acknowledge, Some("pilot")).await;
     assert!(unknown.refused.is_some_and(|why| why.contains("it has operator")));

@@ -2,7 +2,7 @@
 //! rest.
 
 use blastema::prelude::*;
-use blastema::{Down, Incarnation, RequestError};
+use blastema::{Down, RequestError};
 use blastema_testkit::TestNode;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -56,7 +56,7 @@ pub(crate) enum Deed {
     Check(f64),
     /// Watches another object.
     Watch(String),
-    /// Publishes this.
+    /// Publishes this number.
     Publish(u32),
     /// Publishes this, a little later.
     PublishSoon(u32),
@@ -172,10 +172,10 @@ pub(crate) struct Puppet {
 }
 
 impl Puppet {
-    async fn act(&self, hook: &'static str, incarnation: Incarnation) -> Result<(), Failure> {
+    async fn act(&self, hook: &'static str, cx: &Context<Self>) -> Result<(), Failure> {
         let Puppet { name, strings } = self;
         if hook != "on_execute" {
-            strings.write(format!("{name}{incarnation} {hook}"));
+            strings.write(format!("{name}{} {hook}", cx.incarnation()));
         }
         match strings.next(name, hook) {
             None => Ok(()),
@@ -217,35 +217,9 @@ impl Component for Puppet {
         });
     }
 
-    async fn on_initialize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.act("on_initialize", cx.incarnation()).await
-    }
-    async fn on_startup(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.act("on_startup", cx.incarnation()).await
-    }
-    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.act("on_activated", cx.incarnation()).await
-    }
-    async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.act("on_execute", cx.incarnation()).await
-    }
-    async fn on_deactivated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.act("on_deactivated", cx.incarnation()).await
-    }
-    async fn on_aborting(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.act("on_aborting", cx.incarnation()).await
-    }
-    async fn on_error(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.act("on_error", cx.incarnation()).await
-    }
-    async fn on_reset(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.act("on_reset", cx.incarnation()).await
-    }
-    async fn on_shutdown(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.act("on_shutdown", cx.incarnation()).await
-    }
-    async fn on_finalize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.act("on_finalize", cx.incarnation()).await
+    blastema_tests::hooks! {
+        on_initialize on_startup on_activated on_execute on_deactivated on_aborting on_error
+        on_reset on_shutdown on_finalize
     }
 }
 
@@ -315,7 +289,7 @@ impl Handle<Down> for Puppet {
         let Down { object, node, incarnation, ending } = down;
         let (me, own) = (self.name, cx.incarnation());
         let node = node.map(|node| format!("{node}:")).unwrap_or_default();
-        self.strings.write(format!("{me}{own} mourns {node}{object}{incarnation}: {ending:?}"));
+        self.strings.write(format!("{me}{own} watched {node}{object}{incarnation}: {ending:?}"));
     }
 }
 

@@ -57,10 +57,6 @@ async fn between_two_incarnations_a_full_queue_says_restarting() {
     assert_eq!(strings.lines("note"), ["arm#2 note 1", "arm#2 note 2", "arm#2 note 3"]);
 }
 
-#[derive(Clone, Debug, Event)]
-#[contract(name = "test/unheard")]
-struct Unheard;
-
 #[blastema_testkit::test]
 async fn an_error_names_the_receiver_its_node_the_contract_and_the_limit() {
     let strings = Strings::default();
@@ -81,26 +77,6 @@ async fn an_error_names_the_receiver_its_node_the_contract_and_the_limit() {
         "{full}"
     );
     assert_eq!(late.receiver().expect("it is named").contract, "test/do");
-}
-
-/// What `Note` might be in another program.
-#[derive(Clone, Debug, Event)]
-#[contract(name = "test/note")]
-struct OtherNote {
-    text: String,
-}
-
-#[blastema_testkit::test]
-async fn who_takes_no_such_contract_or_another_one_says_so() {
-    let (_, node) = Strings::robot(["arm"]).await;
-
-    let unknown = node.sender::<Unheard>("arm").expect_err("it does not take it");
-    let differs = node.sender::<OtherNote>("arm").expect_err("it is another contract");
-
-    assert!(matches!(unknown, DeliveryError::NotServed { .. }), "{unknown}");
-    let DeliveryError::ContractDiffers { difference } = differs else { panic!("{differs}") };
-    assert!(difference.contains("test/note"), "{difference}");
-    assert!(OtherNote { text: String::new() }.text.is_empty());
 }
 
 #[blastema_testkit::test]

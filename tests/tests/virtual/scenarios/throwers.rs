@@ -1,72 +1,11 @@
 //! Things of the user's that panic in unusual places: in `Drop`, while stopping.
 
-use crate::scenarios::puppet::{Deed, Pull, Strings, ask, incarnation, strike};
+use crate::scenarios::puppet::{Deed, Pull, Strings, ask, incarnation};
 use blastema::SpecError;
 use blastema::core::delivery::dead_letters::DeadReason;
-use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
 use blastema_testkit::TestNode;
 use std::time::Duration;
-
-#[blastema_testkit::test]
-async fn a_component_whose_drop_panics_is_replaced_all_the_same() {
-    let ends = [
-        (Deed::Panic("struck".into()), FaultKind::Panic),
-        (Deed::FailFatally("bent".into()), FaultKind::Fatal),
-    ];
-    for (end, kind) in ends {
-        let (strings, mut node) = Strings::robot(["arm"]).await;
-        strings.pull("arm", "drop", Pull::Panic("and in drop"));
-
-        // A panic ends the request, too.
-        let _ = ask(&node, "arm", end).await;
-        node.await_fault(kind.clone(), "arm").await;
-        node.await_recovered(kind, "arm").await;
-
-        assert_eq!(incarnation(&node, "arm").await, 2);
-        node.expect_no_faults().await;
-    }
-}
-
-#[blastema_testkit::test]
-async fn a_component_that_panics_while_it_stops_is_stopped() {
-    for hook in ["on_deactivated", "on_shutdown", "on_finalize", "drop"] {
-        let (strings, node) = Strings::robot(["arm", "hand"]).await;
-        strings.pull("hand", hook, Pull::Panic("while stopping"));
-
-        let stopped = tokio::time::timeout(Duration::from_secs(6), node.shutdown()).await;
-
-        assert!(stopped.is_ok(), "{hook}");
-        assert_eq!(node.state(), NodeState::Stopped, "{hook}");
-        assert!(strings.diary().contains(&"arm#1 on_finalize".into()), "{hook}");
-    }
-}
-
-#[blastema_testkit::test]
-async fn a_component_that_panics_while_it_is_restarted_is_replaced() {
-    for hook in ["on_deactivated", "on_shutdown", "on_finalize"] {
-        let strings = Strings::default();
-        let group = SupervisorSpec::new("group", Strategy::OneForAll)
-            .child(strings.spec("arm"))
-            .child(strings.spec("hand"));
-        let mut node = TestNode::start(Node::builder("module1").supervisor(group)).await;
-        strings.pull("hand", hook, Pull::Panic("while stopping"));
-
-        strike(&node, "arm").await;
-        node.await_recovered(FaultKind::Panic, "arm").await;
-        node.advance(Duration::from_secs(1)).await;
-
-        assert!(incarnation(&node, "arm").await >= 2, "{hook}");
-        assert!(incarnation(&node, "hand").await >= 2, "{hook}");
-        let record = node.faults().await;
-        assert!(
-            record.entries.iter().all(|entry| entry.status() != blastema::FaultStatus::Open),
-            "{hook}: {record:?}"
-        );
-        let group = node.tree().await.unwrap().children[0].below.clone().unwrap();
-        assert!(group.children.iter().all(|leaf| leaf.state == ChildState::Running), "{hook}");
-    }
-}
 
 #[blastema_testkit::test]
 async fn a_component_that_fails_to_come_to_rest_has_a_fault_that_is_over() {
@@ -114,18 +53,6 @@ impl Handle<Bomb> for Depot {
         tokio::time::sleep(Duration::from_secs(1)).await;
         drop(bomb);
     }
-}
-
-#[blastema_testkit::test]
-async fn a_message_whose_drop_panics_in_a_handler_is_the_handlers_panic() {
-    let builder = Node::builder("module1").child(ChildSpec::new("depot", || Depot));
-    let mut node = TestNode::start(builder).await;
-
-    node.sender("depot").unwrap().tell(Bomb { armed: true }).unwrap();
-    let fault = node.await_fault(FaultKind::Panic, "depot").await;
-
-    assert!(fault.detail.starts_with("boom"), "{}", fault.detail);
-    node.await_recovered(FaultKind::Panic, "depot").await;
 }
 
 #[blastema_testkit::test]

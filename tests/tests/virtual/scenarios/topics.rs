@@ -344,7 +344,7 @@ async fn a_topic_that_two_nodes_give_different_contracts_is_a_fault_on_both() {
 
         // Without an event too: who waits for a listener would wait for this one.
         for node in [&mut here, &mut there] {
-            let fault = node.await_fault(FaultKind::ContractMismatch, "net/gateway").await;
+            let fault = node.await_fault(FaultKind::ContractMismatch, "net/stack").await;
             let parts = ["\"plan\"", "`map` version 1", "`camera/image` version 1"];
             for part in parts.into_iter().chain(["module1", "module2"]) {
                 assert!(fault.detail.contains(part), "{part} is missing in {}", fault.detail);
@@ -360,7 +360,7 @@ async fn a_mismatch_of_contracts_is_over_when_the_other_node_comes_back_without_
     let (mut here, there) = two_nodes_on(&medium).await;
     let _plans = here.publisher::<Map>("plan").unwrap();
     there.add_child(planner()).await.unwrap();
-    here.await_fault(FaultKind::ContractMismatch, "net/gateway").await;
+    here.await_fault(FaultKind::ContractMismatch, "net/stack").await;
     let stands = async |node: &Node| {
         let record = node.faults().await;
         let mut mismatches =

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 const SECOND: Duration = Duration::from_secs(1);
 
-/// Two nodes with a puppet each, `widow` on module1 and `laser` on module2.
+/// Two nodes with a puppet each, `watcher` on module1 and `laser` on module2.
 struct Robot {
     medium: MemoryMedium,
     module1: TestNode,
@@ -21,7 +21,7 @@ struct Robot {
 impl Robot {
     async fn start() -> Self {
         let (medium, strings) = (MemoryMedium::default(), Strings::default());
-        let module1 = Self::node(&medium, ["module1", "module2"], "widow", &strings).await;
+        let module1 = Self::node(&medium, ["module1", "module2"], "watcher", &strings).await;
         let module2 = Self::node(&medium, ["module2", "module1"], "laser", &strings).await;
         module1.advance(2 * SECOND).await;
         Robot { medium, module1, module2, strings }
@@ -38,12 +38,12 @@ impl Robot {
     }
 
     async fn watch(&self, name: &str) {
-        ask(&self.module1, "widow", Deed::Watch(name.into())).await.unwrap();
+        ask(&self.module1, "watcher", Deed::Watch(name.into())).await.unwrap();
     }
 
-    async fn mourned(&self) -> Vec<String> {
+    async fn watched(&self) -> Vec<String> {
         self.module1.advance(SECOND).await;
-        self.strings.lines("mourns")
+        self.strings.lines("watched")
     }
 
     fn cut(&self) {
@@ -63,36 +63,36 @@ async fn who_watches_a_supervisor_is_told_when_it_gives_up_and_when_it_is_stoppe
         .intensity(0, SECOND)
         .when_exceeded(WhenExceeded::Escalate)
         .child(strings.spec("arm"));
-    let builder = Node::builder("module1").child(strings.spec("widow")).supervisor(group);
+    let builder = Node::builder("module1").child(strings.spec("watcher")).supervisor(group);
     let node = TestNode::start(builder).await;
-    let mourned = async || {
+    let watched = async || {
         node.advance(2 * SECOND).await;
-        strings.lines("mourns")
+        strings.lines("watched")
     };
-    ask(&node, "widow", Deed::Watch("group".into())).await.unwrap();
-    ask(&node, "widow", Deed::Watch("chain/supervisor/group".into())).await.unwrap();
-    assert_eq!(mourned().await, [""; 0], "it is at work");
+    ask(&node, "watcher", Deed::Watch("group".into())).await.unwrap();
+    ask(&node, "watcher", Deed::Watch("chain/supervisor/group".into())).await.unwrap();
+    assert_eq!(watched().await, [""; 0], "it is at work");
 
     strike(&node, "arm").await;
-    assert_eq!(mourned().await, ["widow#1 mourns group#1: Fatal"]);
+    assert_eq!(watched().await, ["watcher#1 watched group#1: Fatal"]);
     node.remove_child("group").await.unwrap();
 
-    let both =
-        ["group#2", "chain/supervisor/group#1"].map(|of| format!("widow#1 mourns {of}: Stopped"));
-    assert_eq!(mourned().await, both, "its actor ends with it");
+    let both = ["group#2", "chain/supervisor/group#1"]
+        .map(|of| format!("watcher#1 watched {of}: Stopped"));
+    assert_eq!(watched().await, both, "its actor ends with it");
 }
 
 #[blastema_testkit::test]
 async fn who_watches_an_object_of_the_middleware_is_told_of_its_panic() {
     let robot = Robot::start().await;
-    robot.watch("net/router").await;
-    assert_eq!(robot.mourned().await, [""; 0]);
+    robot.watch("net/stack").await;
+    assert_eq!(robot.watched().await, [""; 0]);
 
     robot.module1.panic_router();
 
-    let mourned = robot.mourned().await;
-    let [only] = &mourned[..] else { panic!("{mourned:?}") };
-    assert!(only.starts_with("widow#1 mourns net/router#1: Panicked"), "{only}");
+    let watched = robot.watched().await;
+    let [only] = &watched[..] else { panic!("{watched:?}") };
+    assert!(only.starts_with("watcher#1 watched net/stack#1: Panicked"), "{only}");
 }
 
 #[blastema_testkit::test]
@@ -100,24 +100,24 @@ async fn who_watches_an_object_of_another_node_is_told_of_every_end_once() {
     let robot = Robot::start().await;
     robot.watch("module2:laser").await;
     robot.watch("module2:laser").await;
-    assert_eq!(robot.mourned().await, [""; 0], "it lives");
+    assert_eq!(robot.watched().await, [""; 0], "it lives");
 
     strike(&robot.module2, "laser").await;
-    let first = robot.mourned().await;
+    let first = robot.watched().await;
     robot.module1.advance(65 * SECOND).await;
     ask(&robot.module2, "laser", Deed::Stop).await.unwrap();
-    let second = robot.mourned().await;
+    let second = robot.watched().await;
     robot.watch("module2:absent").await;
-    let unknown = robot.mourned().await;
-    strike(&robot.module1, "widow").await;
+    let unknown = robot.watched().await;
+    strike(&robot.module1, "watcher").await;
     strike(&robot.module2, "laser").await;
 
     let [first] = &first[..] else { panic!("{first:?}") };
-    let expected = "widow#1 mourns module2:laser#1: Panicked { text: \"struck\"";
+    let expected = "watcher#1 watched module2:laser#1: Panicked { text: \"struck\"";
     assert!(first.starts_with(expected), "{first}");
-    assert_eq!(second, ["widow#1 mourns module2:laser#2: Returned"]);
-    assert_eq!(unknown, ["widow#1 mourns module2:absent#0: Unknown"]);
-    assert_eq!(robot.mourned().await, [""; 0], "the incarnation that asked is over");
+    assert_eq!(second, ["watcher#1 watched module2:laser#2: Returned"]);
+    assert_eq!(unknown, ["watcher#1 watched module2:absent#0: Unknown"]);
+    assert_eq!(robot.watched().await, [""; 0], "the incarnation that asked is over");
 }
 
 #[blastema_testkit::test]
@@ -125,29 +125,29 @@ async fn who_watches_an_object_of_a_node_that_cannot_be_reached_is_told_each_tim
     let robot = Robot::start().await;
     robot.watch("module2:laser").await;
     robot.watch("module9:laser").await;
-    let nowhere = robot.mourned().await;
+    let nowhere = robot.watched().await;
     assert_eq!(nowhere.len(), 1, "{nowhere:?}");
-    assert!(nowhere[0].starts_with("widow#1 mourns module9:laser#0: NodeLost"), "{nowhere:?}");
+    assert!(nowhere[0].starts_with("watcher#1 watched module9:laser#0: NodeLost"), "{nowhere:?}");
 
     for _ in 0..3 {
         robot.cut();
         robot.module1.advance(20 * SECOND).await;
-        let lost = robot.mourned().await;
+        let lost = robot.watched().await;
         robot.clear();
         robot.module1.advance(10 * SECOND).await;
-        let back = robot.mourned().await;
+        let back = robot.watched().await;
         assert_eq!(lost.len(), 1, "{lost:?}");
-        assert!(lost[0].starts_with("widow#1 mourns module2:laser#0: NodeLost"), "{lost:?}");
+        assert!(lost[0].starts_with("watcher#1 watched module2:laser#0: NodeLost"), "{lost:?}");
         assert_eq!(back, [""; 0]);
     }
     strike(&robot.module2, "laser").await;
-    let died = robot.mourned().await;
+    let died = robot.watched().await;
 
     assert_eq!(died.len(), 1, "{died:?}");
-    assert!(died[0].starts_with("widow#1 mourns module2:laser#1: Panicked"), "{died:?}");
+    assert!(died[0].starts_with("watcher#1 watched module2:laser#1: Panicked"), "{died:?}");
 }
 
-/// When the laser ends while the widow's node cannot be told, and then.
+/// When the laser ends while the watcher's node cannot be told, and then.
 #[derive(Clone, Copy, Debug)]
 enum Ends {
     /// So often in the outage.
@@ -170,7 +170,7 @@ async fn an_end_in_an_outage_or_right_after_it_is_told_and_its_incarnation_count
             let robot = Robot::start().await;
             if since {
                 robot.watch("module2:laser").await;
-                assert_eq!(robot.mourned().await, [""; 0], "it lives");
+                assert_eq!(robot.watched().await, [""; 0], "it lives");
             }
             robot.cut();
             robot.module1.advance(outage).await;
@@ -201,13 +201,13 @@ async fn an_end_in_an_outage_or_right_after_it_is_told_and_its_incarnation_count
             }
             robot.module1.advance(10 * SECOND).await;
 
-            let told = robot.strings.lines("mourns");
+            let told = robot.strings.lines("watched");
             let case = format!("{outage:?}, watched before: {since}, {ends:?}: {told:?}");
             // A watch that begins in the outage holds from the next session on, if there is
             // another.
             let once = matches!(ends, Ends::OnceConnected | Ends::OnceConnectedThere);
             if since || once || outage < SECOND {
-                let expected = format!("widow#1 mourns module2:laser#{last}: Returned");
+                let expected = format!("watcher#1 watched module2:laser#{last}: Returned");
                 assert_eq!(told.iter().filter(|line| **line == expected).count(), 1, "{case}");
                 assert_eq!(told.last(), Some(&expected), "{case}");
             }
@@ -222,21 +222,21 @@ async fn an_end_right_after_the_start_of_the_next_process_of_its_node_is_told() 
         let mut robot = Robot::start().await;
         if watched {
             robot.watch("module2:laser").await;
-            assert_eq!(robot.mourned().await, [""; 0]);
+            assert_eq!(robot.watched().await, [""; 0]);
         }
         robot.module2.shutdown().await;
         robot.module1.advance(5 * SECOND).await;
         if !watched {
             robot.watch("module2:laser").await;
         }
-        robot.mourned().await;
+        robot.watched().await;
         let pair = ["module2", "module1"];
         robot.module2 = Robot::node(&robot.medium, pair, "laser", &robot.strings).await;
         assert!(robot.module1.connected("module2", 20 * SECOND).await);
 
         ask(&robot.module2, "laser", Deed::Stop).await.unwrap();
 
-        assert_eq!(robot.mourned().await, ["widow#1 mourns module2:laser#1: Returned"]);
+        assert_eq!(robot.watched().await, ["watcher#1 watched module2:laser#1: Returned"]);
     }
 }
 
@@ -302,19 +302,19 @@ async fn a_sender_of_another_node_reaches_the_component_that_has_the_name() {
 async fn a_name_of_another_node_is_watched_before_an_object_has_it_and_after() {
     let robot = Robot::start().await;
     robot.watch("module2:later").await;
-    assert_eq!(robot.mourned().await, ["widow#1 mourns module2:later#0: Unknown"]);
+    assert_eq!(robot.watched().await, ["watcher#1 watched module2:later#0: Unknown"]);
     robot.module1.advance(10 * SECOND).await;
-    assert_eq!(robot.mourned().await, [""; 0], "it is said once");
+    assert_eq!(robot.watched().await, [""; 0], "it is said once");
 
     for _ in 0..2 {
         robot.module2.add(None, robot.strings.spec("later")).await.unwrap();
         robot.module1.advance(3 * SECOND).await;
         strike(&robot.module2, "later").await;
-        let told = robot.mourned().await;
-        let expected = "widow#1 mourns module2:later#1: Panicked";
+        let told = robot.watched().await;
+        let expected = "watcher#1 watched module2:later#1: Panicked";
         assert!(told.len() == 1 && told[0].starts_with(expected), "{told:?}");
         robot.module2.remove_child("later").await.unwrap();
         robot.module1.advance(3 * SECOND).await;
-        assert_eq!(robot.mourned().await, ["widow#1 mourns module2:later#2: Stopped"]);
+        assert_eq!(robot.watched().await, ["watcher#1 watched module2:later#2: Stopped"]);
     }
 }

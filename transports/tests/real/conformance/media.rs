@@ -1,5 +1,6 @@
 //! How ends of each medium are opened, and what is put onto its wire that no transport would.
 
+use super::end::in_real_time;
 use super::{Medium, Opened, start};
 use blastema_contract::transport::MediumAddress;
 use blastema_doubles::{now, paused};
@@ -49,10 +50,6 @@ pub(crate) fn ip(address: &MediumAddress) -> SocketAddr {
         MediumAddress::Ip(address) => *address,
         other => panic!("{other} is no address of IP"),
     }
-}
-
-pub(crate) fn in_real_time(test: impl Future<Output = ()>) {
-    actix_rt::System::new().block_on(test);
 }
 
 #[derive(Default)]

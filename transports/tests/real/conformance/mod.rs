@@ -3,13 +3,14 @@
 //!
 //! Sockets are real, on loopback and ports that the system chose; every wait is for an event.
 
-mod media;
+pub(crate) mod end;
+pub(crate) mod media;
 mod suite;
 
 use actix::dev::ContextFut;
 use actix::prelude::*;
 use blastema_contract::transport::{
-    Attach, Close, MediumAddress, ReadCounters, ReadInjectedFaults, Received, Transmit, Transport,
+    Attach, Close, ConnectionTrust, MediumAddress, ReadInjectedFaults, Received, Transport,
     TransportCounters, TransportReport,
 };
 use blastema_doubles::{PATIENCE, Probe, Turn, turn, turn_if_long};
@@ -17,6 +18,7 @@ use bytes::Bytes;
 use media::*;
 use std::cell::Cell;
 use std::future::Future;
+use std::ops::Deref;
 use std::pin::Pin;
 use std::rc::Rc;
 use std::task::{self, Poll};
@@ -48,48 +50,32 @@ struct Opened {
     panic: Rc<Cell<bool>>,
 }
 
-/// An end with probes attached.
+/// An end, and what is behind it.
 struct End {
-    transport: Transport,
+    end: end::End,
     wrapper: Option<Recipient<ReadInjectedFaults>>,
-    frames: Probe<Received>,
-    reports: Probe<TransportReport>,
     panic: Rc<Cell<bool>>,
+}
+
+impl Deref for End {
+    type Target = end::End;
+
+    fn deref(&self) -> &end::End {
+        &self.end
+    }
 }
 
 impl End {
     fn new(Opened { transport, wrapper, panic }: Opened) -> Self {
-        let (frames, reports) = attach(&transport);
-        End { transport, wrapper, frames, reports, panic }
-    }
-
-    /// Waits until it is open; the answer is its address and its mtu.
-    async fn opened(&self) -> (MediumAddress, usize) {
-        let opened = |report: &TransportReport| matches!(report, TransportReport::Opened { .. });
-        match self.reports.wait(opened).await {
-            TransportReport::Opened { local, mtu, .. } => (local, mtu),
-            other => unreachable!("{other:?} was not waited for"),
-        }
+        End { end: end::End::new(transport), wrapper, panic }
     }
 
     async fn ended(&self) {
         self.reports.wait(|report| *report == TransportReport::Ended).await;
     }
 
-    async fn closed(&self) -> String {
-        let closed = |report: &TransportReport| matches!(report, TransportReport::Closed { .. });
-        match self.reports.wait(closed).await {
-            TransportReport::Closed { reason } => reason,
-            other => unreachable!("{other:?} was not waited for"),
-        }
-    }
-
     fn send(&self, to: &MediumAddress, frame: impl Into<Bytes>) {
-        self.transport.transmit.do_send(Transmit::new(to.clone(), frame.into().into()));
-    }
-
-    async fn counters(&self) -> TransportCounters {
-        self.transport.counters.send(ReadCounters).await.expect("the transport lives")
+        self.end.send(to.clone(), frame);
     }
 
     /// How many frames were taken from the medium and not thrown away since.
@@ -109,51 +95,10 @@ impl End {
         reports.retain(|report| !matches!(report, TransportReport::Rate { .. }));
         reports
     }
-
-    /// Waits until the counters are as wanted.
-    async fn counted(&self, what: &str, wanted: impl Fn(&TransportCounters) -> bool) {
-        let counted = async {
-            while !wanted(&self.counters().await) {
-                tokio::task::yield_now().await;
-            }
-        };
-        let waited = tokio::time::timeout(PATIENCE, counted).await;
-        assert!(waited.is_ok(), "{what}: {:?}", self.counters().await);
-    }
-
-    /// Sends until it arrives there, for a medium may lose frames while a peer comes back. The
-    /// answer is whether anything else arrived before.
-    async fn send_until_received(
-        &self,
-        to: &MediumAddress,
-        frame: &'static str,
-        receiver: &End,
-    ) -> bool {
-        let arrived = async {
-            let mut other = false;
-            loop {
-                self.send(to, frame);
-                self.counters().await;
-                tokio::task::yield_now().await;
-                for received in receiver.frames.drain() {
-                    if received.frame == frame {
-                        return other;
-                    }
-                    other = true;
-                }
-            }
-        };
-        match tokio::time::timeout(PATIENCE, arrived).await {
-            Ok(other) => other,
-            Err(_) => panic!("{:?} {:?}", self.counters().await, receiver.counters().await),
-        }
-    }
 }
 
 fn attach(transport: &Transport) -> (Probe<Received>, Probe<TransportReport>) {
-    let (frames, reports) = (Probe::start(), Probe::start());
-    transport.attach.do_send(Attach::new(frames.recipient(), reports.recipient()));
-    (frames, reports)
+    end::attach(transport, ConnectionTrust::Claimed)
 }
 
 /// Starts an actor as the guardian of the node does, which gives it its next incarnation after a

@@ -1,5 +1,6 @@
 //! CAN as the system has it; only the guest of `tests/guest` has any.
 
+use super::end::in_real_time;
 use super::*;
 use blastema_transports::{CanBus, CanConfig, FrameTransport};
 use socketcan::{CanDataFrame, CanFdSocket, EmbeddedFrame, ExtendedId, Socket};

@@ -26,9 +26,9 @@ pub(crate) async fn frames_arrive_whole<M: Medium>() {
     for length in [1, 100, 1_000, 10_000, 60_000] {
         let frame: Bytes = (0..length).map(|i| (i % 251) as u8).collect();
         a.send(&at_b, frame.clone());
-        assert_eq!(b.frames.expect().await, Received { from: at_a.clone(), frame: frame.clone() });
+        b.expect(at_a.clone(), frame.clone()).await;
         b.send(&at_a, frame.clone());
-        assert_eq!(a.frames.expect().await, Received { from: at_b.clone(), frame });
+        a.expect(at_b.clone(), frame).await;
     }
     let TransportCounters { sent, received, dropped, refused, .. } = a.counters().await;
     assert_eq!((sent, received, dropped, refused), (5, 5, 0, 0));
@@ -54,7 +54,7 @@ pub(crate) async fn a_frame_that_is_too_large_is_refused_and_counted<M: Medium>(
     a.send(&at_b, "small");
 
     assert_eq!(b.frames.expect().await.frame, "small");
-    a.counted("one refused", |counters| (counters.refused, counters.sent) == (1, 1)).await;
+    a.counted(|counters| (counters.refused, counters.sent) == (1, 1)).await;
 }
 
 pub(crate) async fn an_address_of_another_medium_is_refused_and_counted<M: Medium>() {
@@ -70,7 +70,7 @@ pub(crate) async fn an_address_of_another_medium_is_refused_and_counted<M: Mediu
         "lost",
     );
 
-    a.counted("one refused", |counters| counters.refused == 1).await;
+    a.counted(|counters| counters.refused == 1).await;
 }
 
 pub(crate) async fn many_frames_keep_their_order_and_none_is_doubled<M: Medium>() {
@@ -123,7 +123,7 @@ pub(crate) async fn a_peer_that_is_gone_and_back_is_reached_again<M: Medium>() {
 
     let b = End::new(medium.open(Some(at_b.clone())));
     b.opened().await;
-    let stale = a.send_until_received(&at_b, "after", &b).await;
+    let stale = a.reaches(&b, at_b.clone(), "after").await;
     assert!(M::KEEPS || !stale, "what was sent into the void arrived");
     assert_eq!(a.events(), []);
 }
@@ -189,7 +189,7 @@ pub(crate) async fn a_flood_before_a_receiver_that_hangs_stays_bounded<M: Medium
         (0..100).for_each(|_| a.send(&at_b, vec![7; 1000]));
         tokio::task::yield_now().await;
     }
-    b.counted("it has taken what it may", |counters| counters.received >= 256).await;
+    b.counted(|counters| counters.received >= 256).await;
     // All the while it takes orders: a hundred of them later it has not taken more.
     for _ in 0..100 {
         b.counters().await;
@@ -226,7 +226,7 @@ pub(crate) async fn the_next_incarnation_after_a_panic_opens_at_the_same_address
     b.counters().await;
 
     assert_eq!(b.opened().await, (at_b.clone(), mtu));
-    a.send_until_received(&at_b, "after", &b).await;
-    b.send_until_received(&at_a, "back", &a).await;
+    a.reaches(&b, at_b.clone(), "after").await;
+    b.reaches(&a, at_a.clone(), "back").await;
     assert!(b.counters().await.received >= 2, "counters outlive the panic");
 }

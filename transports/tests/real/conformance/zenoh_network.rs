@@ -1,6 +1,6 @@
 //! Ends that are connected by a router of Zenoh, in this process and on loopback.
 
-use super::media::in_real_time;
+use super::end::in_real_time;
 use super::*;
 use blastema_transports::FrameTransport;
 use blastema_zenoh::ZenohNetwork;

@@ -1,8 +1,8 @@
 //! What brings a key of Zenoh in, to a topic.
 //!
-//! A client that may write to the key may flood it: what is not JSON, does not fit, or is too large is
-//! refused on Zenoh's thread; what fits waits in a bounded queue, of which the oldest goes first,
-//! and only so many events in each span of time are published.
+//! A client that may write to the key may flood it: what is not JSON, does not fit, or is too large
+//! is refused on Zenoh's thread; what fits waits in a bounded queue, of which the oldest goes
+//! first, and only so many events in each span of time are published.
 
 use super::{BridgedContract, json};
 use crate::client::ZenohReader;

@@ -2,7 +2,8 @@
 //!
 //! Serde writes and reads the events themselves: every contract has its traits. What it says of a
 //! text that does not fit names a line and a column, and it passes over unknown fields.
-//! So the text is walked beside the structure first: each misfit is named by its place in the event.
+//! So the text is walked beside the structure first: each misfit is named by its place in the
+//! event.
 
 use blastema::core::contract::layout::{Fields, Primitive, Shape};
 use blastema::core::{LayoutDescription, suggestion};

@@ -50,7 +50,7 @@ pub enum EnqueueError {
     /// No node of this bus can have the address.
     #[error("no node on this bus can have the address {to}")]
     NoSuchAddress {
-        /// The address.
+        /// The address that was given.
         to: BusAddress,
     },
     /// It is longer than `message_max`, or empty, which ISO 15765-2 cannot say.
@@ -58,13 +58,13 @@ pub enum EnqueueError {
     Length {
         /// Of the message.
         length: usize,
-        /// As configured.
+        /// The configured `message_max`, in bytes.
         limit: usize,
     },
     /// Too much waits for the target already.
     #[error("the queue towards {to} is full")]
     Full {
-        /// The target.
+        /// The address with the full queue.
         to: BusAddress,
     },
 }
@@ -74,30 +74,30 @@ pub enum EnqueueError {
 pub enum IsoTpOutput {
     /// A message arrived.
     Received {
-        /// From whom.
+        /// The address of the sender.
         from: BusAddress,
-        /// What.
+        /// The whole message.
         message: Bytes,
     },
     /// A message is out; its receiver may have got it.
     Sent {
-        /// To whom.
+        /// The address that it was sent to.
         to: BusAddress,
     },
     /// A message is not out.
     NotSent {
-        /// To whom it should have gone.
+        /// The address that it was for.
         to: BusAddress,
-        /// Why not.
+        /// Why it was not sent.
         error: TransmissionError,
         /// How many others that waited for the same target are gone with it.
         with_it: u64,
     },
     /// A message is lost on its way in, or a frame belongs to none.
     NotReceived {
-        /// From whom.
+        /// The address of the sender.
         from: BusAddress,
-        /// Why not.
+        /// Why it was not received.
         error: ReceptionError,
     },
     /// Another node speaks under our address, or the bus hands back what we said ourselves. What it
@@ -211,7 +211,7 @@ impl IsoTp {
         }
         let lane = self.outgoing.entry(to).or_default();
         if lane.current.is_none() {
-            lane.current = Some(Transmission::new(message, audience(to), &self.config, now));
+            lane.current = Some(Transmission::new(message, target(to), &self.config, now));
             return Ok(());
         }
         let queue = if urgent { &mut lane.urgent } else { &mut lane.waiting };
@@ -256,16 +256,16 @@ impl IsoTp {
 
     fn handle_content(&mut self, from: BusAddress, to_all: bool, pdu: Pdu<'_>, now: Instant) {
         let key = (from, to_all);
-        let audience = if to_all { TargetType::All } else { TargetType::One };
+        let target = if to_all { TargetType::All } else { TargetType::One };
         let admitted =
             self.incoming.contains_key(&key) || self.incoming.len() < self.config.receptions_max;
-        let terms = ReceptionContext { config: &self.config, now };
-        let reception = self.incoming.entry(key).or_insert_with(|| Reception::new(audience));
+        let context = ReceptionContext { config: &self.config, now };
+        let reception = self.incoming.entry(key).or_insert_with(|| Reception::new(target));
         let result = match pdu {
             Pdu::Single(data) => reception.handle_single(data),
-            Pdu::First { length, data } => reception.handle_first(length, data, admitted, terms),
+            Pdu::First { length, data } => reception.handle_first(length, data, admitted, context),
             Pdu::Consecutive { sequence, data } => {
-                reception.handle_consecutive(sequence, data, terms)
+                reception.handle_consecutive(sequence, data, context)
             }
             Pdu::Flow(_) => FrameResult::default(),
         };
@@ -294,8 +294,8 @@ impl IsoTp {
         let id = self.addressing.id(AddressInfo { source: self.own, target: source });
         let id = id.expect("this node and the sender have addresses of this bus");
         let writer = PduWriter { id, format: self.config.format };
-        let terms = ReceptionContext { config: &self.config, now };
-        let frame = reception.poll_frame(&writer, terms);
+        let context = ReceptionContext { config: &self.config, now };
+        let frame = reception.poll_frame(&writer, context);
         if reception.is_idle() {
             self.incoming.remove(&(source, to_all));
         }
@@ -341,7 +341,7 @@ impl IsoTp {
         });
         match lane.urgent.pop_front().or_else(|| lane.waiting.pop_front()) {
             Some(message) => {
-                lane.current = Some(Transmission::new(message, audience(to), &self.config, now));
+                lane.current = Some(Transmission::new(message, target(to), &self.config, now));
             }
             None => drop(self.outgoing.remove(&to)),
         }
@@ -353,7 +353,7 @@ impl IsoTp {
     }
 }
 
-fn audience(to: BusAddress) -> TargetType {
+fn target(to: BusAddress) -> TargetType {
     if to == BusAddress::ALL { TargetType::All } else { TargetType::One }
 }
 

@@ -50,7 +50,7 @@ pub enum Pdu<'a> {
 /// How the rest of a message is to be sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FlowControl {
-    /// Whether.
+    /// Whether the sender goes on, waits or stops.
     pub status: FlowStatus,
     /// After so many frames the sender waits for the next word; 0 for never.
     pub block_size: u8,
@@ -61,7 +61,7 @@ pub struct FlowControl {
 /// Whether the rest of a message is to be sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FlowStatus {
-    /// Go on.
+    /// The sender sends the next block.
     Continue,
     /// Not yet: wait for the next word.
     Wait,
@@ -109,13 +109,13 @@ pub enum PduError {
     /// Its first four bits have no meaning.
     #[error("frames of type {kind} have no meaning")]
     Kind {
-        /// The bits.
+        /// The frame's first four bits.
         kind: u8,
     },
     /// Its length is not what the frame holds, or is written in the wrong way.
     #[error("a length of {length} does not belong into a frame of {frame} bytes")]
     Length {
-        /// As written.
+        /// The length that the frame declares, in bytes.
         length: u32,
         /// What the frame holds.
         frame: usize,

@@ -35,7 +35,7 @@ pub enum ReceptionError {
     /// More is announced than the limit allows.
     #[error("a message of {length} bytes is too long")]
     TooLong {
-        /// As announced.
+        /// The announced length, in bytes.
         length: u32,
     },
     /// Too many messages are under way to us.
@@ -77,7 +77,7 @@ pub(super) struct ReceptionContext<'a> {
 /// What comes from one source.
 #[derive(Debug)]
 pub(super) struct Reception {
-    audience: TargetType,
+    target: TargetType,
     state: State,
 }
 
@@ -93,7 +93,6 @@ enum State {
     Refusing {
         until: Instant,
     },
-    /// Frames come.
     Receiving {
         partial: Partial,
         left_in_block: Option<u8>,
@@ -112,8 +111,8 @@ struct Partial {
 }
 
 impl Reception {
-    pub(super) fn new(audience: TargetType) -> Self {
-        Reception { audience, state: State::Idle }
+    pub(super) fn new(target: TargetType) -> Self {
+        Reception { target, state: State::Idle }
     }
 
     /// Whether nothing is under way.
@@ -133,13 +132,13 @@ impl Reception {
         length: u32,
         data: &[u8],
         admitted: bool,
-        terms: ReceptionContext<'_>,
+        context: ReceptionContext<'_>,
     ) -> FrameResult {
-        let ReceptionContext { config, now } = terms;
+        let ReceptionContext { config, now } = context;
         let interrupted = self.interrupt();
         let whole = length as usize;
         if whole > config.message_max || !admitted {
-            if self.audience == TargetType::One {
+            if self.target == TargetType::One {
                 self.state = State::Refusing { until: now + config.bus_timeout };
             }
             let long = whole > config.message_max;
@@ -152,8 +151,8 @@ impl Reception {
         // The header of a first frame is two bytes, or six where the length needs them.
         let header = if whole > super::pdu::SHORT_LENGTH_MAX { 6 } else { 2 };
         let partial = Partial { bytes, length: whole, frame: data.len() + header, sequence: 1 };
-        self.state = match self.audience {
-            TargetType::One => answer(partial, terms),
+        self.state = match self.target {
+            TargetType::One => answer(partial, context),
             TargetType::All => {
                 let until = now + config.frame_timeout;
                 State::Receiving { partial, left_in_block: None, until }
@@ -167,9 +166,9 @@ impl Reception {
         &mut self,
         sequence: u8,
         data: &[u8],
-        terms: ReceptionContext<'_>,
+        context: ReceptionContext<'_>,
     ) -> FrameResult {
-        let ReceptionContext { config, now } = terms;
+        let ReceptionContext { config, now } = context;
         let (mut partial, left_in_block) = match std::mem::replace(&mut self.state, State::Idle) {
             State::Receiving { partial, left_in_block, .. } => (partial, left_in_block),
             // No sender was told to go on. What is under way goes on when he is.
@@ -193,7 +192,7 @@ impl Reception {
         }
         let left_in_block = left_in_block.map(|left| left - 1);
         self.state = if left_in_block == Some(0) {
-            answer(partial, terms)
+            answer(partial, context)
         } else {
             State::Receiving { partial, left_in_block, until: now + config.frame_timeout }
         };
@@ -209,9 +208,9 @@ impl Reception {
     pub(super) fn poll_frame(
         &mut self,
         writer: &PduWriter,
-        terms: ReceptionContext<'_>,
+        context: ReceptionContext<'_>,
     ) -> Option<CanFrame> {
-        let ReceptionContext { config, now } = terms;
+        let ReceptionContext { config, now } = context;
         let (status, next) = match std::mem::replace(&mut self.state, State::Idle) {
             State::Refusing { .. } => (FlowStatus::Overflow, State::Idle),
             State::Answering { partial, .. } => {
@@ -257,8 +256,8 @@ impl Reception {
     }
 }
 
-fn answer(partial: Partial, terms: ReceptionContext<'_>) -> State {
-    State::Answering { partial, until: terms.now + terms.config.bus_timeout }
+fn answer(partial: Partial, context: ReceptionContext<'_>) -> State {
+    State::Answering { partial, until: context.now + context.config.bus_timeout }
 }
 
 #[cfg(test)]

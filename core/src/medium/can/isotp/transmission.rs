@@ -52,7 +52,7 @@ pub(super) struct Transmission {
     message: Bytes,
     sent: usize,
     sequence: u8,
-    audience: TargetType,
+    target: TargetType,
     /// How many frames may go out until the next word; `None` for any number.
     left_in_block: Option<u8>,
     separation: Duration,
@@ -74,7 +74,7 @@ enum State {
 impl Transmission {
     pub(super) fn new(
         message: Bytes,
-        audience: TargetType,
+        target: TargetType,
         config: &IsoTpConfig,
         now: Instant,
     ) -> Self {
@@ -82,7 +82,7 @@ impl Transmission {
             message,
             sent: 0,
             sequence: 0,
-            audience,
+            target,
             left_in_block: None,
             separation: config.separation_to_all,
             state: State::Ready { until: now + config.bus_timeout },
@@ -152,7 +152,7 @@ impl Transmission {
         if let Some(left) = self.left_in_block.as_mut().filter(|_| !begins) {
             *left -= 1;
         }
-        let asks = begins && self.audience == TargetType::One || self.left_in_block == Some(0);
+        let asks = begins && self.target == TargetType::One || self.left_in_block == Some(0);
         self.state = if self.sent == self.message.len() {
             State::Ended(Ok(()))
         } else if asks {

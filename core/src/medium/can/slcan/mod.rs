@@ -17,24 +17,22 @@
 //! that says nothing is thrown away up to its end, so that after garbage the next line is
 //! understood again; no line is longer than [`LINE_MAX`].
 
-mod dialogue;
+mod adapter_control;
 
-pub use dialogue::{AdapterControl, AdapterError};
+pub use adapter_control::{AdapterControl, AdapterError};
 
-use super::frame::{CanFrame, CanId, FD_MAX, Format};
+use super::frame::{CanFrame, CanId, FD_LENGTHS, FD_MAX, Format};
 
 /// The longest line: a CAN FD frame of 64 bytes with a time.
 pub const LINE_MAX: usize = 1 + 8 + 1 + 2 * FD_MAX + 4;
 
 const END: u8 = b'\r';
 const REFUSAL: u8 = 0x07;
-/// The lengths that 9 to 15 stand for in CAN FD (ISO 11898-1).
-const FD_CODES: [usize; 7] = [12, 16, 20, 24, 32, 48, 64];
 /// Milliseconds in the minute that an adapter's time counts.
-const MINUTE: u16 = 60_000;
+const MINUTE: u32 = 60_000;
 
-/// The bit rates that adapters know by a number.
-const BIT_RATES_HZ: [u32; 9] =
+/// The bit rates of a bus that adapters know by a number, in bits a second.
+pub const BIT_RATES_HZ: [u32; 9] =
     [10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000];
 
 /// A bit rate that adapters know.
@@ -63,9 +61,9 @@ impl BitRate {
 /// A data rate of CAN FD that adapters know, after the CANable's extension.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DataRate {
-    /// 2 Mbit/s.
+    /// A data rate of 2 Mbit/s.
     TwoMegabit,
-    /// 5 Mbit/s.
+    /// A data rate of 5 Mbit/s.
     FiveMegabit,
 }
 
@@ -76,32 +74,21 @@ pub enum AdapterCommand {
     Close,
     /// Join the bus.
     Open,
-    /// Join the bus without ever speaking, not even to confirm frames.
-    Listen,
     /// This is the bus's bit rate. Only while closed.
     BitRate(BitRate),
     /// This is its data rate for CAN FD. Only while closed.
     DataRate(DataRate),
-    /// Whether frames are to come with a time. Only while closed.
-    Times(bool),
-    /// Who are you?
-    Version,
     /// How are you?
     Status,
-    /// Send this.
+    /// Sends this frame on the bus.
     Send(CanFrame),
 }
 
 /// What an adapter says.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum AdapterReply {
-    /// A frame came from the bus.
-    Frame {
-        /// Which.
-        frame: CanFrame,
-        /// When, in milliseconds of the adapter's minute, if it says so.
-        time_ms: Option<u16>,
-    },
+    /// This frame came from the bus. The time that an adapter may say with it is not used.
+    Frame(CanFrame),
     /// The last command is done.
     Done,
     /// A frame of ours is sent, or at least taken.
@@ -135,12 +122,9 @@ impl AdapterCommand {
         match self {
             AdapterCommand::Close => line.push(b'C'),
             AdapterCommand::Open => line.push(b'O'),
-            AdapterCommand::Listen => line.push(b'L'),
             AdapterCommand::BitRate(BitRate(number)) => line.extend([b'S', b'0' + number]),
             AdapterCommand::DataRate(DataRate::TwoMegabit) => line.extend(b"Y2"),
             AdapterCommand::DataRate(DataRate::FiveMegabit) => line.extend(b"Y5"),
-            AdapterCommand::Times(wanted) => line.extend([b'Z', b'0' + u8::from(*wanted)]),
-            AdapterCommand::Version => line.push(b'V'),
             AdapterCommand::Status => line.push(b'F'),
             AdapterCommand::Send(frame) => put_frame(frame, line),
         }
@@ -157,8 +141,6 @@ impl AdapterCommand {
         match first {
             b'C' => none(AdapterCommand::Close),
             b'O' => none(AdapterCommand::Open),
-            b'L' => none(AdapterCommand::Listen),
-            b'V' => none(AdapterCommand::Version),
             b'F' => none(AdapterCommand::Status),
             b'S' => match rest {
                 [number @ b'0'..=b'8'] => Ok(AdapterCommand::BitRate(BitRate(number - b'0'))),
@@ -168,12 +150,6 @@ impl AdapterCommand {
             b'Y' => match rest {
                 b"2" => Ok(AdapterCommand::DataRate(DataRate::TwoMegabit)),
                 b"5" => Ok(AdapterCommand::DataRate(DataRate::FiveMegabit)),
-                [_] => Err(ReplyError::Number),
-                _ => Err(ReplyError::Length),
-            },
-            b'Z' => match rest {
-                b"0" => Ok(AdapterCommand::Times(false)),
-                b"1" => Ok(AdapterCommand::Times(true)),
                 [_] => Err(ReplyError::Number),
                 _ => Err(ReplyError::Length),
             },
@@ -189,12 +165,7 @@ impl AdapterReply {
     /// Writes it as a line, as an adapter does.
     pub fn encode(&self, line: &mut Vec<u8>) {
         match self {
-            AdapterReply::Frame { frame, time_ms } => {
-                put_frame(frame, line);
-                if let Some(time) = time_ms {
-                    put_hex((*time).into(), 4, line);
-                }
-            }
+            AdapterReply::Frame(frame) => put_frame(frame, line),
             AdapterReply::Done => {}
             AdapterReply::Sent => line.push(b'z'),
             AdapterReply::Refused => return line.push(REFUSAL),
@@ -216,15 +187,13 @@ impl AdapterReply {
             }
             _ => {
                 let (frame, rest) = read_frame(line)?;
-                let time_ms = match rest {
-                    [] => None,
-                    digits if digits.len() == 4 => Some(read_hex(digits)? as u16),
-                    _ => return Err(ReplyError::Length),
-                };
-                if time_ms.is_some_and(|time| time >= MINUTE) {
-                    return Err(ReplyError::Number);
+                match rest {
+                    [] => {}
+                    digits if digits.len() != 4 => return Err(ReplyError::Length),
+                    digits if read_hex(digits)? >= MINUTE => return Err(ReplyError::Number),
+                    _ => {}
                 }
-                Ok(AdapterReply::Frame { frame, time_ms })
+                Ok(AdapterReply::Frame(frame))
             }
         }
     }
@@ -323,7 +292,7 @@ fn put_frame(frame: &CanFrame, line: &mut Vec<u8>) {
         line.push(kind);
         put_hex(frame.id().number(), 3, line);
     }
-    let code = FD_CODES.iter().position(|length| *length == frame.length());
+    let code = FD_LENGTHS.iter().position(|length| *length == frame.length());
     let code = code.map_or(frame.length(), |at| at + 9);
     put_hex(code as u32, 1, line);
     frame.data().iter().for_each(|byte| put_hex((*byte).into(), 2, line));
@@ -348,7 +317,7 @@ fn read_frame(line: &[u8]) -> Result<(CanFrame, &[u8]), ReplyError> {
     let code = read_hex(code)? as usize;
     let length = match code.checked_sub(9) {
         None => code,
-        Some(at) => *FD_CODES.get(at).ok_or(ReplyError::Number)?,
+        Some(at) => *FD_LENGTHS.get(at).ok_or(ReplyError::Number)?,
     };
     if remote {
         return Ok((CanFrame::remote(id, length).ok_or(ReplyError::Number)?, rest));

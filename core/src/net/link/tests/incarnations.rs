@@ -1,6 +1,7 @@
 //! Incarnations that start and end on a cable, and forged hellos.
 
 use super::*;
+use crate::net::link::arrival::ArrivalEstimator;
 
 /// What has gone from one end to the other.
 pub(super) fn hellos_of(cable: &Cable, from: usize) -> Vec<Bytes> {

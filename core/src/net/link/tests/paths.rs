@@ -7,7 +7,7 @@ use crate::random::Random;
 fn probed() -> Cable {
     let mut cable = Cable::new(config("left", 1), config("right", 1));
     for end in &mut cable.ends {
-        end.handle_mtu(1_472, Some(PathMtu::new(1_472, 0)));
+        end.frame_size = FrameSize { medium: 1_472, path: Some(PathMtu::new(1_472, 0)) };
     }
     cable
 }

@@ -8,7 +8,7 @@ const B: Who = ("b", 1);
 const C: Who = ("c", 1);
 
 fn newest(net: &Net, by: Who, origin: &str) -> AdvertisementId {
-    net.routers[&by].advertisement(id(origin)).unwrap().id
+    net.routers[&by].database.advertisement(id(origin)).unwrap().id
 }
 
 /// A node's router has something new to say of a link.
@@ -97,7 +97,7 @@ fn a_node_whose_links_change_all_the_time_announces_the_newest_at_a_bounded_pace
 #[test]
 fn late_confirmations_of_older_news_are_not_answered_while_the_newest_is_on_its_way() {
     let mut router = between_two();
-    let before = router.own.id;
+    let before = router.database.own.id;
     outputs(&mut router, 1_090);
     router.handle_link(FIRST, up("left", 7), at(1_100));
     outputs(&mut router, 1_100);

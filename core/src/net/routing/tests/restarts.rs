@@ -78,7 +78,7 @@ fn of_two_nodes_that_outdo_each_other_the_later_one_stops() {
         let mut other = of_incarnation(theirs, advertisement("own", 1, &[("left", 1)]));
         let mut reported = Vec::new();
         for n in 1..=6 {
-            other.id.sequence = router.own.id.sequence + 1;
+            other.id.sequence = router.database.own.id.sequence + 1;
             tell(&mut router, FIRST, other.clone(), 1000 + 200 * n);
             reported.extend(without_routing(outputs(&mut router, 1000 + 200 * n)));
         }

@@ -98,8 +98,8 @@ fn an_advertisement_that_its_origin_has_not_signed_changes_nothing() {
         lie.id.sequence = u64::MAX - n;
         lie
     };
-    let told = net.routers[&C].advertisement(id("a")).cloned();
-    let own = net.routers[&C].own.clone();
+    let told = net.routers[&C].database.advertisement(id("a")).cloned();
+    let own = net.routers[&C].database.own.clone();
 
     for n in 1..4 {
         for lie in [
@@ -115,8 +115,8 @@ fn an_advertisement_that_its_origin_has_not_signed_changes_nothing() {
     }
     net.run(500);
 
-    assert_eq!(net.routers[&C].advertisement(id("a")).cloned(), told);
-    assert_eq!(net.routers[&C].own, own, "nothing was to be outdone");
+    assert_eq!(net.routers[&C].database.advertisement(id("a")).cloned(), told);
+    assert_eq!(net.routers[&C].database.own, own, "nothing was to be outdone");
     assert!(net.routers[&C].route(id("d")).is_none());
     assert_eq!(net.routers[&C].refusals().forged, 12);
     assert_eq!(net.reached(C, "a"), Some(1));
@@ -136,9 +136,12 @@ fn a_flood_of_signatures_costs_no_more_than_its_bound_and_the_truth_is_heard_aft
     }
     assert_eq!(net.routers[&C].refusals().forged, 256);
 
-    let before = net.routers[&C].advertisement(id("a")).unwrap().id;
+    let before = net.routers[&C].database.advertisement(id("a")).unwrap().id;
     net.run(12_000);
-    assert!(net.routers[&C].advertisement(id("a")).unwrap().id > before, "it is refreshed");
+    assert!(
+        net.routers[&C].database.advertisement(id("a")).unwrap().id > before,
+        "it is refreshed"
+    );
 }
 
 #[test]
@@ -194,11 +197,11 @@ fn of_two_that_differ_in_their_signature_alone_everybody_takes_the_same() {
 fn a_replayed_advertisement_keeps_a_restarted_node_out_for_no_longer_than_a_challenge() {
     let mut net = Net::with_roster(&[(A, B), (B, C)], Some(roster(&["a", "b", "c"])));
     net.run(1_000);
-    let old = net.routers[&B].advertisement(id("a")).cloned().unwrap();
+    let old = net.routers[&B].database.advertisement(id("a")).cloned().unwrap();
     net.kill(A);
     // C claims to be next to the earlier incarnation, and repeats what that has said.
     let link = net.number(B, "c");
-    let mut claim = net.routers.remove(&C).unwrap().own;
+    let mut claim = net.routers.remove(&C).unwrap().database.own;
     claim.id.sequence += 1_000;
     claim.edges.push(Edge { to: id("a"), incarnation: 1, cost: 1, mtu: 1_400 });
     let message = [b"blastema advertisement 1\0ranger\0", &claim.signed_part()[..]].concat();

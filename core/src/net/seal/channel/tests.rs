@@ -1,10 +1,10 @@
 //! Channels without handshakes: both ends are given their keys.
 
-use super::super::noise::AeadCipher;
+use super::super::noise::NoiseCrypto;
 use super::*;
 use crate::random::Random;
 
-type Channels = PeerChannels<AeadCipher>;
+type Channels = PeerChannels;
 
 const FORMATS: [(SealProfile, CipherSuite); 3] = [
     (SealProfile::Full, CipherSuite::AesGcm),
@@ -21,12 +21,7 @@ fn limits() -> KeyLimits {
 }
 
 /// One end of channel `number`, whose keys are that number; the other end has the other side.
-fn end(
-    format: (SealProfile, CipherSuite),
-    number: u8,
-    side: u8,
-    incarnation: u64,
-) -> Channel<AeadCipher> {
+fn end(format: (SealProfile, CipherSuite), number: u8, side: u8, incarnation: u64) -> Channel {
     let (profile, suite) = format;
     let peer = Incarnation(incarnation);
     let number_of = |side: u8| u32::from(number * 2 + side);
@@ -34,7 +29,7 @@ fn end(
     let terms = ChannelTerms { profile, suite, local, remote, peer };
     let key = |side: u8| [number * 2 + side; 32];
     let keys = ChannelKeys { seal: key(side), open: key(1 - side) };
-    Channel::new(terms, &keys, AeadCipher::new, at(0))
+    Channel::new(terms, &keys, &NoiseCrypto::new([1; 32]), at(0))
 }
 
 fn ends(format: (SealProfile, CipherSuite)) -> [Channels; 2] {
@@ -56,8 +51,8 @@ fn seal(end: &mut Channels, lane: FrameLane, text: &[u8]) -> Bytes {
     end.seal(lane, &[text], &limits()).expect("there is a channel")
 }
 
-/// So many frames are repeated and forged, a fifth of them repeated. The nightly run is compiled with
-/// more.
+/// So many frames are repeated and forged, a fifth of them repeated. The nightly run is compiled
+/// with more.
 fn attempts() -> u64 {
     option_env!("BLASTEMA_FORGERIES").map_or(100_000, |count| count.parse().expect("a number"))
 }
@@ -157,7 +152,8 @@ fn an_offer_changes_nothing_until_a_frame_is_opened_under_it() {
     let format = FORMATS[0];
     let [mut left, mut right] = ends(format);
     let channel = end(format, 2, 1, 7);
-    right.offer(OfferedChannel { channel, since: at(0), ephemeral: 0, answer: Bytes::new() });
+    right.offered =
+        Some(OfferedChannel { channel, since: at(0), ephemeral: 0, answer: Bytes::new() });
 
     let frame = seal(&mut right, FrameLane::Usual, b"present");
     assert_eq!(open(&mut left, &frame, 0).unwrap(), (Opening::Confirmed, b"present".to_vec()));
@@ -169,7 +165,7 @@ fn an_offer_changes_nothing_until_a_frame_is_opened_under_it() {
     let mut forged = seal(&mut left, FrameLane::Usual, b"").to_vec();
     forged[10] ^= 1;
     assert_eq!(open(&mut right, &forged, 0), Err(OpenError::Forged));
-    assert!(right.offered().is_some(), "a forged frame accepts no offer");
+    assert!(right.offered.is_some(), "a forged frame accepts no offer");
     let first = seal(&mut left, FrameLane::Usual, b"first");
     assert_eq!(open(&mut right, &first, 10).unwrap().0, Opening::Accepted);
     assert_eq!(open(&mut right, &late, 10).unwrap().1, b"late");
@@ -221,7 +217,7 @@ fn keys_are_renewed_after_many_frames_and_seal_and_open_none_beyond_their_limits
         sealed.push(left.seal(FrameLane::Usual, &[b"text"], &limits).unwrap());
     }
     assert_eq!(left.seal(FrameLane::Usual, &[b"text"], &limits), None);
-    assert!(left.drop_due_keys(&limits, at(0)) && left.present().is_none());
+    assert!(left.drop_due_keys(&limits, at(0)) && left.present.is_none());
 
     for (n, frame) in sealed[..6].iter().enumerate() {
         assert_eq!(right.is_worn(&limits), n >= 4);

@@ -1,6 +1,6 @@
 //! The sending half of best-effort channels: what waits gives way to what is newer.
 
-use crate::net::session::outbound::SentPart;
+use crate::net::session::flight::SentPart;
 use crate::net::session::reassembly::pieces_of;
 use crate::net::wire::WireError;
 use crate::net::wire::segment::{Datagram, DatagramAck, PIECES_MAX};
@@ -35,8 +35,8 @@ pub(crate) struct BestEffortOutbound {
     /// Those of which the peer has not told yet.
     flying: VecDeque<Flying>,
     flying_bytes: usize,
-    /// How many were lost, as far as that was noticed; not known at first, and after some were given up, of which
-    /// the peer may tell yet.
+    /// How many were lost, as far as that was noticed; not known at first, and after some were
+    /// given up, of which the peer may tell yet.
     lost: Option<u64>,
     /// Messages that gave way to newer ones, or whose path went.
     pub(crate) replaced: u64,

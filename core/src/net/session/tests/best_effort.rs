@@ -164,7 +164,7 @@ fn a_session_of_more_channels_than_are_remembered_goes_on_and_forgets_those_long
 
     let late = |channel, sequence| {
         let (number, piece, payload) = (None, None, text("late").into());
-        let tag = pair.ends[1].tag;
+        let tag = pair.ends[1].identity.tag;
         Segment::Datagram(Datagram { tag, channel, sequence, number, piece, payload }).encode()
     };
     let (late_always, late_reading) = (late(9_999, 2_999), late(2_999, 1));

@@ -263,7 +263,7 @@ fn what_goes_every_way_does_not_wait_for_data_and_is_acknowledged_by_itself() {
     let mut pair = Pair::open();
     pair.lose = Box::new(|_, segment| match segment {
         Segment::Data(data) => data.stream == TrafficClass::Request,
-        Segment::Acknowledge { .. } => true,
+        Segment::Acknowledge { streams, .. } => streams[TrafficClass::Redundant as usize].is_none(),
         _ => false,
     });
     for _ in 0..200 {
@@ -293,9 +293,10 @@ fn a_peer_that_promises_an_absurd_window_is_sent_no_more_than_ours() {
         pair.ends[0].handle_send(TrafficClass::Redundant, text("x"), at(pair.now)).unwrap();
         pair.drain();
     }
-    let tag = pair.ends[0].tag;
+    let tag = pair.ends[0].identity.tag;
     let ack = Ack { next: 1, window: u32::MAX, arrived: DelayTicks::default(), ranges: vec![] };
-    let greedy = Segment::AcknowledgeOne { tag, stream: SeparateStream::Redundant, ack };
+    let streams = [None, Some(ack), None, None, None, None];
+    let greedy = Segment::Acknowledge { tag, streams, datagrams: None };
     pair.ends[0].handle_segment(greedy.encode(), at(pair.now));
     pair.drain();
 

@@ -167,7 +167,7 @@ fn what_comes_back_from_a_peer_that_breaks_the_protocol_was_good_itself() {
     let mut pair = Pair::open();
     pair.lose = Box::new(|end, _| end == 0);
     pair.send(0, text("good"));
-    let tag = pair.ends[0].tag;
+    let tag = pair.ends[0].identity.tag;
     let (first, last, again) = (false, true, false);
     let (piece, ack, payload) = (None, None, text("an end without a start").into());
     let (stream, sequence) = (TrafficClass::Request, 0);
@@ -182,17 +182,23 @@ fn what_comes_back_from_a_peer_that_breaks_the_protocol_was_good_itself() {
 }
 
 #[test]
-fn what_a_machine_holds_that_is_replaced_says_whether_it_was_sent() {
-    let mut pair = Pair::open();
-    pair.lose = Box::new(|end, _| end == 0);
-    pair.send(0, text("sent"));
-    pair.drain();
-    pair.send(0, text("not sent"));
+fn what_a_machine_holds_or_has_returned_when_it_is_replaced_says_whether_it_was_sent() {
+    for ended in [false, true] {
+        let mut pair = Pair::open();
+        pair.lose = Box::new(|end, _| end == 0);
+        pair.send(0, text("sent"));
+        pair.drain();
+        pair.send(0, text("not sent"));
+        if ended {
+            pair.ends[0].handle_incarnation(Incarnation(2), at(pair.now));
+        }
 
-    let held = pair.ends[0].take_unacknowledged();
+        let held = pair.ends[0].take_unacknowledged();
 
-    let sent = [("sent", true), ("not sent", false)];
-    assert_eq!(held, sent.map(|(message, sent)| (TrafficClass::Request, text(message), sent)));
+        let sent = [("sent", true), ("not sent", false)];
+        let sent = sent.map(|(message, sent)| (TrafficClass::Request, text(message), sent));
+        assert_eq!(held, sent, "its session had ended: {ended}");
+    }
 }
 
 #[test]

@@ -38,7 +38,7 @@ fn a_piece_with_an_acknowledgement_on_board_is_no_larger_than_the_narrow_path() 
     pair.lose = Box::new(|_, segment| matches!(segment, Segment::Data(_)));
     pair.send(0, Bytes::from(vec![7; 5000]));
     pair.run(5);
-    let tag = pair.ends[0].tag;
+    let tag = pair.ends[0].identity.tag;
     for sequence in [1, 3, 5] {
         let payload = Bytes::from_static(b"\x02hi");
         let (first, last, again) = (true, true, false);

@@ -193,7 +193,7 @@ fn a_child_is_told_whether_another_incarnation_follows() {
     let reported = |rig: &mut Rig| {
         let mut reported = Vec::new();
         while let Some(action) = rig.machine.poll_output() {
-            if let SupervisorOutput::Stop { child, again } = action {
+            if let SupervisorOutput::Order { child, order: ChildOrder::Stop { again } } = action {
                 reported.push((child.to_string(), again));
             }
         }

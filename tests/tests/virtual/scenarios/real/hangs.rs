@@ -7,6 +7,7 @@ use blastema::core::detection::{FaultEntry, Opinion};
 use blastema::prelude::*;
 use blastema::{Incarnation, NodeBuilder, RestartError, ThreadKind, ThreadRow, ThreadState};
 use blastema_testkit::TestNode;
+use blastema_tests::until;
 use std::time::Duration;
 
 /// As long as a test may take on a busy machine.
@@ -31,16 +32,6 @@ async fn patiently(node: &Node, name: &str) -> u64 {
     sender.ask_within(Do(Deed::Nothing), LONG).await.expect("the puppet answers")
 }
 
-/// Waits until this holds.
-async fn until(what: &str, mut holds: impl FnMut() -> bool) {
-    let reached = async {
-        while !holds() {
-            tokio::time::sleep(Duration::from_millis(5)).await;
-        }
-    };
-    assert!(tokio::time::timeout(LONG, reached).await.is_ok(), "{what}: never");
-}
-
 #[test]
 fn a_hang_is_named_fenced_and_replaced_and_its_neighbours_resume() {
     let _turn = blastema_doubles::turn();
@@ -63,7 +54,7 @@ fn a_hang_is_named_fenced_and_replaced_and_its_neighbours_resume() {
         let error = hung.await.unwrap().expect_err("it was given up, though it still blocks");
         assert_eq!(error.kind, DeliveryError::PeerDied { incarnation: Incarnation(1) });
         assert_eq!(patiently(&node, "arm").await, 2, "on another thread");
-        until("its queue came along", || strings.lines("note") == ["arm#2 note 1"]).await;
+        until(async || strings.lines("note") == ["arm#2 note 1"], "its queue came along").await;
         let leg = node.row("leg").await;
         assert_eq!((leg.opinion, leg.incarnation), (Opinion::Suspect, Incarnation(1)), "{leg:?}");
 
@@ -93,11 +84,11 @@ fn neighbours_of_a_hang_that_does_not_return_are_moved_with_their_queues() {
 
         assert_eq!(symptom.symptom_of, Some(root.id));
         assert_eq!((patiently(&node, "arm").await, patiently(&node, "leg").await), (2, 2));
-        until("its queue came along", || strings.lines("note") == ["leg#2 note 1"]).await;
+        until(async || strings.lines("note") == ["leg#2 note 1"], "its queue came along").await;
         assert_eq!(node.abandoned_threads(), 1);
         assert_eq!(incarnation(&node, "ear").await, 1);
         strings.release();
-        until("the thread comes back", || node.abandoned_threads() == 0).await;
+        until(async || node.abandoned_threads() == 0, "the thread comes back").await;
         node.shutdown().await;
     });
 }
@@ -126,19 +117,19 @@ fn the_rows_of_threads_tell_who_keeps_one_and_to_whom_one_was_lost() {
         let arm = || "arm".parse().expect("a name");
         let state = |number| row(number).map(|row| row.state);
         let kept = |state| matches!(state, Some(ThreadState::Blocked { by, .. }) if by == arm());
-        until("it is kept", || kept(state(shared.number))).await;
+        until(async || kept(state(shared.number)), "it is kept").await;
         let blocked = row(shared.number).expect("it was there just now");
         assert!(blocked.busy > own.busy, "{blocked:?}");
         assert_eq!((state(own.number), blocked.queued), (Some(ThreadState::Alive), 1));
 
         let lost = Some(ThreadState::Abandoned { by: arm() });
-        until("it is lost", || state(shared.number) == lost).await;
+        until(async || state(shared.number) == lost, "it is lost").await;
         node.await_recovered(FaultKind::Hang, "leg").await;
         let elsewhere = thread_of(&node, "leg").expect("it lives again");
         assert!(elsewhere.number > own.number && elsewhere.state == ThreadState::Alive);
 
         strings.release();
-        until("the thread has come back, and ends", || row(shared.number).is_none()).await;
+        until(async || row(shared.number).is_none(), "the thread has come back, and ends").await;
         node.shutdown().await;
     });
 }
@@ -162,12 +153,12 @@ fn a_node_that_has_given_up_four_threads_comes_to_safe_rest() {
 
         let Ok(NodeState::InSafeState { reason }) = &ended else { panic!("{ended:?}") };
         assert!(["a", "b", "c", "d"].iter().all(|name| reason.contains(name)), "{reason}");
-        until("all four are given up", || node.abandoned_threads() == 4).await;
+        until(async || node.abandoned_threads() == 4, "all four are given up").await;
         assert_eq!(node.restart().await, Err(RestartError::ThreadsHang { count: 4 }));
 
         // They return after all: what was in the safe state is restarted.
         strings.release();
-        until("the threads come back", || node.abandoned_threads() == 0).await;
+        until(async || node.abandoned_threads() == 0, "the threads come back").await;
         node.restart().await.unwrap();
         for name in ["a", "b", "c", "d"] {
             node.sender(name).unwrap().ask(Do(Deed::Nothing)).await.unwrap();
@@ -242,7 +233,7 @@ fn victims_of_a_hang_whose_thread_returns_as_it_is_lost_suffer_nothing_else() {
         });
 
         node.sender("arm").unwrap().tell(Do(Deed::Block("ear".into()))).unwrap();
-        until("it is lost, and returns", || returns.is_finished()).await;
+        until(async || returns.is_finished(), "it is lost, and returns").await;
         for name in victims {
             assert_eq!(patiently(&node, name).await, 2, "{name}");
         }

@@ -6,6 +6,7 @@
 use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
 use blastema::{ActuatorSpec, Hold, Incarnation, NodeBuilder, RestartError, ThreadState};
+use blastema_tests::{found, until};
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Condvar, Mutex};
@@ -108,16 +109,6 @@ async fn start(builder: NodeBuilder) -> Node {
     builder.start().await.expect("the node starts")
 }
 
-/// Waits until this holds.
-async fn until(what: &str, mut holds: impl FnMut() -> bool) {
-    let reached = async {
-        while !holds() {
-            tokio::time::sleep(Duration::from_millis(5)).await;
-        }
-    };
-    assert!(tokio::time::timeout(LONG, reached).await.is_ok(), "{what}: never");
-}
-
 async fn state_of(node: &Node, name: &str) -> ChildState {
     let tree = node.tree().await.expect("the node runs");
     let child = tree.children.iter().find(|child| child.name.as_str() == name);
@@ -126,39 +117,25 @@ async fn state_of(node: &Node, name: &str) -> ChildState {
 
 /// Waits until the component is in the safe state.
 async fn until_at_rest(node: &Node, name: &str) {
-    let reached = async {
-        while state_of(node, name).await != ChildState::Resting {
-            tokio::time::sleep(Duration::from_millis(5)).await;
-        }
-    };
-    assert!(tokio::time::timeout(LONG, reached).await.is_ok(), "{name} in the safe state: never");
+    until(async || state_of(node, name).await == ChildState::Resting, "the safe state").await;
 }
 
 /// Waits until the hang of the component is given up, and says why.
 async fn until_given_up(node: &Node, name: &str) -> String {
     let location = format!("module1:{name}");
-    let reached = async {
-        loop {
-            let entries = node.faults().await.entries;
-            let here = |f: &blastema::Fault| f.location.to_string() == location;
-            let mut hangs = entries.into_iter().filter(|entry| here(&entry.fault));
-            if let Some((_, reason)) = hangs.find_map(|entry| entry.given_up) {
-                return reason;
-            }
-            tokio::time::sleep(Duration::from_millis(5)).await;
-        }
+    let reason = async || {
+        let entries = node.faults().await.entries;
+        let here = |f: &blastema::Fault| f.location.to_string() == location;
+        let mut hangs = entries.into_iter().filter(|entry| here(&entry.fault));
+        hangs.find_map(|entry| entry.given_up).map(|(_, reason)| reason)
     };
-    tokio::time::timeout(LONG, reached).await.expect("it is given up")
+    found(reason, "it is given up").await
 }
 
 /// Waits until every fault is over.
 async fn until_none_stands(node: &Node) {
-    let reached = async {
-        while node.faults().await.entries.iter().any(|entry| entry.stands()) {
-            tokio::time::sleep(Duration::from_millis(5)).await;
-        }
-    };
-    assert!(tokio::time::timeout(LONG, reached).await.is_ok(), "{:?}", node.faults().await);
+    let none_stands = async || !node.faults().await.entries.iter().any(|entry| entry.stands());
+    until(none_stands, "no fault stands").await;
 }
 
 /// In which incarnation the component is.
@@ -187,8 +164,8 @@ fn neighbours_of_one_that_hangs_at_each_start_go_on_and_are_blamed_for_nothing()
         let incarnation = || bench.0.incarnation.load(Relaxed);
 
         node.sender("laser").unwrap().tell(Fire).unwrap();
-        until("its next incarnation hangs", || incarnation() >= 2).await;
-        until("the one after that", || incarnation() >= 3).await;
+        until(async || incarnation() >= 2, "its next incarnation hangs").await;
+        until(async || incarnation() >= 3, "the one after that").await;
         let before = bench.0.count.load(Relaxed);
         until_given_up(&node, "laser").await;
         until_at_rest(&node, "laser").await;
@@ -202,15 +179,15 @@ fn neighbours_of_one_that_hangs_at_each_start_go_on_and_are_blamed_for_nothing()
             _ => None,
         };
         let all_lost = || node.threads().into_iter().filter_map(by).collect::<Vec<_>>();
-        until("all its threads are lost", || all_lost().len() == 4).await;
+        until(async || all_lost().len() == 4, "all its threads are lost").await;
         assert!(all_lost().iter().all(|by| by == "laser"), "{:?}", all_lost());
 
         bench.release();
-        until("they come back", || node.abandoned_threads() == 0).await;
+        until(async || node.abandoned_threads() == 0, "they come back").await;
         let before = bench.0.count.load(Relaxed);
         let restarted = node.restart_child("laser").await.expect("it starts");
         assert!(restarted.incarnation().is_some(), "{restarted:?}");
-        until("the counter goes on", || bench.0.count.load(Relaxed) > before).await;
+        until(async || bench.0.count.load(Relaxed) > before, "the counter goes on").await;
         assert_eq!(node.state(), NodeState::Running);
         node.shutdown().await;
     });
@@ -225,7 +202,7 @@ fn a_component_that_hangs_at_each_start_holds_nobody_behind_it_up() {
 
         let node = start(builder).await;
 
-        until("it counts", || bench.0.count.load(Relaxed) > 0).await;
+        until(async || bench.0.count.load(Relaxed) > 0, "it counts").await;
         assert_eq!(incarnation_of(&node, "counter").await, Incarnation(1));
         assert_eq!(state_of(&node, "laser").await, ChildState::Resting);
         assert_no_root(&node, "counter").await;
@@ -247,10 +224,8 @@ fn a_component_that_keeps_its_share_of_threads_is_given_up_alone() {
         let node = start(builder).await;
 
         for incarnation in 1..=4 {
-            until("it is in its next incarnation", || {
-                bench.0.incarnation.load(Relaxed) == incarnation
-            })
-            .await;
+            let is_next = async || bench.0.incarnation.load(Relaxed) == incarnation;
+            until(is_next, "it is in its next incarnation").await;
             until_none_stands(&node).await;
             node.sender("laser").unwrap().tell(Fire).unwrap();
         }
@@ -264,10 +239,10 @@ fn a_component_that_keeps_its_share_of_threads_is_given_up_alone() {
         };
         assert_eq!(name.as_str(), "laser");
         assert!(reason.to_string().contains("4 threads"), "{reason}");
-        until("all its threads are lost", || node.abandoned_threads() == 4).await;
+        until(async || node.abandoned_threads() == 4, "all its threads are lost").await;
         assert_eq!(node.state(), NodeState::Running);
         let before = bench.0.count.load(Relaxed);
-        until("the counter goes on", || bench.0.count.load(Relaxed) > before).await;
+        until(async || bench.0.count.load(Relaxed) > before, "the counter goes on").await;
         bench.release();
         node.shutdown().await;
     });
@@ -315,7 +290,7 @@ fn a_hook_that_returns_after_its_incarnation_was_abandoned_says_nothing_of_the_n
         commander.claim_within(LONG).await.expect("the second incarnation is active");
         commander.release().await.expect("it is held");
         bench.release();
-        until("the hook of the first returns", || bench.0.count.load(Relaxed) == 1).await;
+        until(async || bench.0.count.load(Relaxed) == 1, "the hook of the first returns").await;
         // What follows the hook runs on the same thread right behind it.
         tokio::time::sleep(Duration::from_millis(100)).await;
 

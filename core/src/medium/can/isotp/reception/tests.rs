@@ -18,8 +18,8 @@ fn poll(reception: &mut Reception) -> Option<FlowStatus> {
     let id = CanId::standard(1).unwrap();
     let writer = PduWriter { id, format: Format::Classic };
     let mut sent = None;
-    with(|terms| {
-        sent = reception.poll_frame(&writer, terms).map(|frame| match Pdu::decode(frame.data()) {
+    with(|cx| {
+        sent = reception.poll_frame(&writer, cx).map(|frame| match Pdu::decode(frame.data()) {
             Ok(Pdu::Flow(flow)) => flow.status,
             other => panic!("{other:?} is no word on how to go on"),
         });
@@ -29,13 +29,13 @@ fn poll(reception: &mut Reception) -> Option<FlowStatus> {
 
 fn first(reception: &mut Reception, length: u32) -> FrameResult {
     let mut result = FrameResult::default();
-    with(|terms| result = reception.handle_first(length, b"abcdef", true, terms));
+    with(|cx| result = reception.handle_first(length, b"abcdef", true, cx));
     result
 }
 
 fn next(reception: &mut Reception, sequence: u8, data: &[u8]) -> FrameResult {
     let mut result = FrameResult::default();
-    with(|terms| result = reception.handle_consecutive(sequence, data, terms));
+    with(|cx| result = reception.handle_consecutive(sequence, data, cx));
     result
 }
 
@@ -156,8 +156,8 @@ fn what_is_too_long_or_one_too_many_is_refused_by_a_word() {
     assert_eq!(poll(&mut reception), Some(FlowStatus::Overflow));
     assert!(reception.is_idle());
 
-    with(|terms| {
-        let result = reception.handle_first(50, b"abcdef", false, terms);
+    with(|cx| {
+        let result = reception.handle_first(50, b"abcdef", false, cx);
         assert_eq!(result, FrameResult::failure(ReceptionError::TooMany));
     });
     assert_eq!(poll(&mut reception), Some(FlowStatus::Overflow));

@@ -24,8 +24,8 @@ fn poll(transmission: &mut Transmission, now: Instant) -> Option<Vec<u8>> {
     transmission.poll_frame(&writer(), &config(), now).map(|frame| frame.data().to_vec())
 }
 
-fn start(length: u8, audience: TargetType) -> Transmission {
-    Transmission::new((0..length).collect(), audience, &config(), at(0))
+fn start(length: u8, target: TargetType) -> Transmission {
+    Transmission::new((0..length).collect(), target, &config(), at(0))
 }
 
 /// One that is in each of its states at 0 ms.

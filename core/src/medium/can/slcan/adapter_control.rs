@@ -43,7 +43,7 @@ pub enum AdapterError {
     /// It does not know the bus's bit rate, or the program that it has does not let it be set.
     #[error("the adapter refuses {hz} bit/s: choose the bus's bit rate among those it knows")]
     BitRate {
-        /// As configured.
+        /// The configured bit rate, in bit/s.
         hz: u32,
     },
     /// It does not know CAN FD, or not this rate.
@@ -150,8 +150,8 @@ impl AdapterControl {
             State::Open => return self.ask(now),
             State::Waiting { .. } | State::Failed(_) => return None,
         };
-        let patience = if step == SetupStep::Close { RETRY_DELAY } else { REPLY_TIMEOUT };
-        self.state = State::Waiting { step, until: now + patience };
+        let timeout = if step == SetupStep::Close { RETRY_DELAY } else { REPLY_TIMEOUT };
+        self.state = State::Waiting { step, until: now + timeout };
         Some(match step {
             SetupStep::Close => AdapterCommand::Close,
             SetupStep::BitRate => AdapterCommand::BitRate(self.rate),
@@ -196,7 +196,7 @@ impl AdapterControl {
                 }
                 return;
             }
-            AdapterReply::Frame { .. } => return,
+            AdapterReply::Frame(_) => return,
         };
         match self.state {
             State::Waiting { step: SetupStep::Close, .. } => {}
@@ -296,26 +296,26 @@ mod tests {
 
     /// The states that each of the eight is in after an input.
     fn check(input: impl Fn(&mut AdapterControl), expected: [State; 8]) {
-        for ((name, mut dialogue), expected) in all().into_iter().zip(expected) {
-            input(&mut dialogue);
-            assert_eq!(dialogue.state, expected, "{name}");
+        for ((name, mut control), expected) in all().into_iter().zip(expected) {
+            input(&mut control);
+            assert_eq!(control.state, expected, "{name}");
         }
     }
 
     fn before() -> [State; 8] {
-        all().map(|(_, dialogue)| dialogue.state)
+        all().map(|(_, control)| control.state)
     }
 
     #[test]
     fn an_adapter_that_answers_is_open_after_three_commands() {
-        let mut dialogue = AdapterControl::new(rate(), None);
+        let mut control = AdapterControl::new(rate(), None);
         let mut sent = vec![];
 
-        while !dialogue.is_open() {
-            sent.extend(dialogue.poll_command(at(1)));
-            assert_eq!(dialogue.poll_command(at(1)), None, "one at a time");
-            dialogue.handle_reply(&AdapterReply::Done);
-            dialogue.handle_timeout(at(21));
+        while !control.is_open() {
+            sent.extend(control.poll_command(at(1)));
+            assert_eq!(control.poll_command(at(1)), None, "one at a time");
+            control.handle_reply(&AdapterReply::Done);
+            control.handle_timeout(at(21));
         }
 
         assert_eq!(
@@ -329,39 +329,37 @@ mod tests {
         let [close, pause, set, _, join, _, open, failed] = before();
         for reply in [AdapterReply::Done, AdapterReply::Sent] {
             let expected = [close, pause, set, join, join, open, open, failed];
-            check(|dialogue| dialogue.handle_reply(&reply), expected);
+            check(|control| control.handle_reply(&reply), expected);
         }
         let rate_refused = State::Failed(AdapterError::BitRate { hz: 500_000 });
         let open_refused = State::Failed(AdapterError::Open);
         let expected = [close, pause, set, rate_refused, join, open_refused, open, failed];
-        check(|dialogue| dialogue.handle_reply(&AdapterReply::Refused), expected);
+        check(|control| control.handle_reply(&AdapterReply::Refused), expected);
         let frame = CanFrame::remote(CanId::standard(1).unwrap(), 0).unwrap();
-        for reply in
-            [AdapterReply::Frame { frame, time_ms: None }, AdapterReply::Answer("V1013".into())]
-        {
-            check(|dialogue| dialogue.handle_reply(&reply), before());
+        for reply in [AdapterReply::Frame(frame), AdapterReply::Answer("V1013".into())] {
+            check(|control| control.handle_reply(&reply), before());
         }
     }
 
     #[test]
     fn silence_is_no_failure() {
-        check(|dialogue| dialogue.handle_timeout(at(199)), before());
+        check(|control| control.handle_timeout(at(199)), before());
         let [close, _, set, _, join, _, open, failed] = before();
         let expected = [close, set, set, join, join, open, open, failed];
-        check(|dialogue| dialogue.handle_timeout(at(200)), expected);
-        for (name, dialogue) in all() {
+        check(|control| control.handle_timeout(at(200)), expected);
+        for (name, control) in all() {
             let due = match name {
                 "open" => Some(Instant::ORIGIN),
                 _ => name.starts_with("waiting").then_some(at(200)),
             };
-            assert_eq!(dialogue.poll_timeout(), due, "{name}");
+            assert_eq!(control.poll_timeout(), due, "{name}");
         }
     }
 
     #[test]
     fn frames_are_taken_only_when_open_and_only_as_fast_as_the_bus() {
-        for (name, dialogue) in all() {
-            assert_eq!(dialogue.takes(at(1)).is_ok(), name == "open", "{name}");
+        for (name, control) in all() {
+            assert_eq!(control.takes(at(1)).is_ok(), name == "open", "{name}");
         }
         let (_, mut open) = all().into_iter().nth(6).unwrap();
         let id = CanId::extended(1).unwrap();
@@ -383,10 +381,10 @@ mod tests {
 
     #[test]
     fn frames_that_are_refused_are_counted_and_commands_are_not() {
-        for (name, mut dialogue) in all() {
-            dialogue.handle_reply(&AdapterReply::Refused);
-            dialogue.handle_reply(&AdapterReply::Sent);
-            assert_eq!(dialogue.refused(), u64::from(name == "open"), "{name}");
+        for (name, mut control) in all() {
+            control.handle_reply(&AdapterReply::Refused);
+            control.handle_reply(&AdapterReply::Sent);
+            assert_eq!(control.refused(), u64::from(name == "open"), "{name}");
         }
     }
 
@@ -395,67 +393,67 @@ mod tests {
         for (refuses, expected) in
             [(false, State::Open), (true, State::Failed(AdapterError::DataRate))]
         {
-            let mut dialogue = AdapterControl::new(rate(), Some(DataRate::FiveMegabit));
+            let mut control = AdapterControl::new(rate(), Some(DataRate::FiveMegabit));
             let mut sent = vec![];
             for round in 0..4 {
-                sent.extend(dialogue.poll_command(at(round)));
+                sent.extend(control.poll_command(at(round)));
                 let refused = refuses
                     && sent.last() == Some(&AdapterCommand::DataRate(DataRate::FiveMegabit));
-                dialogue.handle_reply(if refused {
+                control.handle_reply(if refused {
                     &AdapterReply::Refused
                 } else {
                     &AdapterReply::Done
                 });
-                dialogue.handle_timeout(at(30));
+                control.handle_timeout(at(30));
             }
 
             assert_eq!(sent[2], AdapterCommand::DataRate(DataRate::FiveMegabit));
-            assert_eq!(dialogue.state, expected);
+            assert_eq!(control.state, expected);
         }
     }
 
     fn open() -> AdapterControl {
-        let (_, dialogue) = all().into_iter().nth(6).unwrap();
-        dialogue
+        let (_, control) = all().into_iter().nth(6).unwrap();
+        control
     }
 
-    fn status(dialogue: &mut AdapterControl, flags: &str) {
-        dialogue.handle_reply(&AdapterReply::Answer(format!("F{flags}")));
+    fn status(control: &mut AdapterControl, flags: &str) {
+        control.handle_reply(&AdapterReply::Answer(format!("F{flags}")));
     }
 
     #[test]
     fn a_bus_on_which_nobody_confirms_is_told_once_until_it_is_well_again() {
-        let mut dialogue = open();
-        let check = |dialogue: &mut AdapterControl, flags: &str, is_reported: bool| {
-            status(dialogue, flags);
-            assert_eq!(dialogue.poll_trouble(), is_reported, "{flags}");
+        let mut control = open();
+        let check = |control: &mut AdapterControl, flags: &str, is_reported: bool| {
+            status(control, flags);
+            assert_eq!(control.poll_trouble(), is_reported, "{flags}");
         };
-        check(&mut dialogue, "00", false);
-        check(&mut dialogue, "20", false);
-        check(&mut dialogue, "80", false);
-        check(&mut dialogue, "A4", true);
-        check(&mut dialogue, "A0", false);
-        check(&mut dialogue, "zz", false);
-        check(&mut dialogue, "04", false);
-        check(&mut dialogue, "a0", true);
+        check(&mut control, "00", false);
+        check(&mut control, "20", false);
+        check(&mut control, "80", false);
+        check(&mut control, "A4", true);
+        check(&mut control, "A0", false);
+        check(&mut control, "zz", false);
+        check(&mut control, "04", false);
+        check(&mut control, "a0", true);
     }
 
     #[test]
     fn an_adapter_is_asked_ten_times_a_second_while_it_answers() {
         let asked = |answer: Option<&AdapterReply>| {
-            let mut dialogue = open();
+            let mut control = open();
             let mut asked = 0;
             for millis in 0..1_000 {
-                if dialogue.poll_timeout().is_some_and(|due| due <= at(millis)) {
-                    let command = dialogue.poll_command(at(millis));
+                if control.poll_timeout().is_some_and(|due| due <= at(millis)) {
+                    let command = control.poll_command(at(millis));
                     asked += command
                         .iter()
                         .filter(|command| **command == AdapterCommand::Status)
                         .count();
-                    answer.into_iter().for_each(|answer| dialogue.handle_reply(answer));
+                    answer.into_iter().for_each(|answer| control.handle_reply(answer));
                 }
             }
-            assert_eq!(dialogue.refused(), 0);
+            assert_eq!(control.refused(), 0);
             asked
         };
         assert_eq!(asked(Some(&AdapterReply::Answer("F00".into()))), 10);

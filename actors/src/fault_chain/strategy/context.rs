@@ -15,7 +15,7 @@ use blastema_core::{
 };
 use std::sync::{Arc, OnceLock};
 
-/// Where the tools reach to.
+/// What a [`StrategyContext`] reaches.
 pub(crate) struct StrategyTargets {
     pub(crate) node: NodeName,
     pub(crate) directory: SupervisorDirectory,
@@ -33,8 +33,8 @@ pub(crate) struct StrategyTargets {
 pub struct StrategyContext(Arc<StrategyTargets>);
 
 impl StrategyContext {
-    pub(crate) fn new(tools: StrategyTargets) -> Self {
-        StrategyContext(Arc::new(tools))
+    pub(crate) fn new(targets: StrategyTargets) -> Self {
+        StrategyContext(Arc::new(targets))
     }
 
     /// Carries out an action that needs no strategy of the application.

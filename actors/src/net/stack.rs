@@ -1,0 +1,480 @@
+//! The network's stack: gateway, sessions and router, which call each other.
+//!
+//! ```text
+//!  objects ─► gateway ─► sessions ─► router ─► links
+//!  objects ◄─ gateway ◄─ sessions ◄─ router ◄─ links
+//! ```
+//!
+//! After a panic the router's machine is built again: the new one is given what the links have
+//! reported, and the sessions retransmit. If the panic was not the router's, every session is
+//! reset as well.
+
+use super::NetEnvironment;
+use super::gateway::{CapacityAvailable, LocalEvent, ObjectGateway, StackRecipients};
+use super::gateway_messages::{LocalReply, SendToPeer, StartCompleted, TopicInterestChanged};
+use super::isolation::{IsolationChanged, IsolationControl};
+use super::own_name::OwnName;
+use super::roster_watch::RosterChanged;
+use super::router::{NodeRouter, Verdict};
+use super::sessions::PeerSessions;
+use super::stub::PeerStubs;
+use crate::platform;
+use crate::platform::panics;
+use crate::registry::remote_watch::DeathWatchService;
+use crate::runtime::driver::{MachineActor, WakeTimer};
+use crate::runtime::guardian::answers_the_monitor;
+use crate::runtime::pending_answer::PendingAnswer;
+use actix::prelude::*;
+use blastema_contract::link::{AddLinks, LinkChanged, ReceivedOnLink};
+use blastema_contract::router::{InjectPanic, ReadRoutes, Routes};
+use blastema_contract::session::{CloseSessions, ReadSessions, SessionRow};
+use blastema_contract::strategy::{IsolateNode, Reroute};
+use blastema_core::net::{NodeId, RouterOutput, SessionOutput};
+use blastema_core::recovery::{RecoveryDone, RecoveryFailed};
+use blastema_core::{FaultLocation, Instant, Machine};
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::oneshot;
+use tracing::{debug, error, info};
+
+/// How often what was lost is brought together, and what has waited too long given up.
+const TIME_INTERVAL: Duration = Duration::from_millis(200);
+/// How often it is looked at what was refused and lost.
+const LOOK_INTERVAL: Duration = Duration::from_secs(1);
+
+/// The actor of the gateway, the sessions and the router.
+pub(super) struct NetworkStack {
+    pub(super) gateway: ObjectGateway,
+    pub(super) lower: LowerFloors,
+    isolation: IsolationControl,
+    wake: WakeTimer,
+}
+
+/// The sessions and the router, driven as one machine.
+pub(super) struct LowerFloors {
+    pub(super) sessions: PeerSessions,
+    pub(super) router: NodeRouter,
+    /// The router is being served.
+    in_router: bool,
+    /// A change of a path that waits for what the sessions do about earlier segments.
+    held: Option<RouterOutput>,
+}
+
+/// What [`LowerFloors`] want done.
+pub(super) enum StackOutput {
+    Router(RouterOutput),
+    Session(NodeId, SessionOutput),
+}
+
+impl LowerFloors {
+    /// A panic in here costs the router's machine, and no session.
+    fn with_router<T>(&mut self, act: impl FnOnce(&mut NodeRouter) -> T) -> T {
+        self.in_router = true;
+        let result = act(&mut self.router);
+        self.in_router = false;
+        result
+    }
+}
+
+impl Machine for LowerFloors {
+    type Output = StackOutput;
+
+    /// Segments that arrive together are given to the sessions before those answer.
+    fn poll_output(&mut self) -> Option<StackOutput> {
+        loop {
+            let held = self.held.take();
+            let output = held.or_else(|| self.with_router(|router| router.machine.poll_output()));
+            match output {
+                Some(RouterOutput::Segment { source, segment, authentic }) => {
+                    self.sessions.handle_segment(source, segment, authentic);
+                    continue;
+                }
+                None
+                | Some(
+                    RouterOutput::Undelivered { .. }
+                    | RouterOutput::Reachable { .. }
+                    | RouterOutput::PathChanged { .. }
+                    | RouterOutput::Lost { .. },
+                ) => {}
+                Some(output) => return Some(StackOutput::Router(output)),
+            }
+            let Some((peer, of_session)) = self.sessions.machines.poll_output() else {
+                return output.map(StackOutput::Router);
+            };
+            self.held = output;
+            let SessionOutput::Transmit { class, segment, everywhere } = of_session else {
+                return Some(StackOutput::Session(peer, of_session));
+            };
+            self.with_router(|router| match everywhere {
+                true => router.machine.handle_copies(peer, class, &segment),
+                false => router.machine.handle_segment(peer, class, segment),
+            });
+        }
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        let router = self.router.machine.poll_timeout();
+        [self.sessions.machines.poll_timeout(), router].into_iter().flatten().min()
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        self.sessions.machines.handle_timeout(now);
+        self.with_router(|router| router.machine.handle_timeout(now));
+    }
+}
+
+impl NetworkStack {
+    pub(super) fn maker(
+        environment: &NetEnvironment,
+        (stubs, deaths, own_name): (Arc<PeerStubs>, DeathWatchService, OwnName),
+    ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
+        let environment = environment.clone();
+        move |context| {
+            let isolation = IsolationControl {
+                stubs: stubs.clone(),
+                stack: context.address().recipient(),
+                monitor: environment.nodes.clone(),
+            };
+            let faults = environment.own_faults("stack");
+            let recipients = StackRecipients {
+                replies: context.address().recipient(),
+                interests: context.address().recipient(),
+                capacity: context.address().recipient(),
+                events: context.address().recipient(),
+            };
+            let told = (faults.clone(), recipients);
+            let gateway = ObjectGateway::new(&environment, stubs, deaths, told);
+            let NetEnvironment { node, incarnation, nodes, keys, session_timeout, .. } =
+                environment;
+            let (identity, told) = ((node, incarnation), (faults.clone(), nodes.clone()));
+            let sessions = PeerSessions::new(identity.clone(), session_timeout, told);
+            let router = NodeRouter::new(identity, (nodes, own_name), faults, keys);
+            let lower = LowerFloors { sessions, router, in_router: false, held: None };
+            NetworkStack { gateway, lower, isolation, wake: WakeTimer::default() }
+        }
+    }
+
+    fn drive_gateway(&mut self) {
+        self.gateway.drive(&mut self.lower.sessions);
+    }
+
+    /// Carries out all that waits on every floor.
+    fn drive_all(&mut self, context: &mut Context<Self>) {
+        self.drive_gateway();
+        self.drive(context);
+    }
+
+    /// Gives the sessions what the gateway sends. It goes out with what follows at once.
+    fn drive_all_soon(&mut self, context: &mut Context<Self>) {
+        self.drive_gateway();
+        self.drive_soon(context);
+    }
+
+    pub(super) fn carry_out_of_router(&mut self, output: RouterOutput) {
+        let sessions = &mut self.lower.sessions;
+        match output {
+            RouterOutput::Undelivered { destination, reason } => {
+                debug!(node = %destination, %reason, "a packet came back");
+                if let Some(session) = sessions.machines.get_mut(destination) {
+                    session.handle_undelivered(reason, platform::now());
+                }
+            }
+            RouterOutput::Reachable { node, incarnation, mtu } => {
+                self.lower.with_router(|router| router.reachable(&node, incarnation));
+                let sessions = &mut self.lower.sessions;
+                if let Some(gone) = sessions.meet(&node) {
+                    self.gateway.session_discarded(gone);
+                }
+                self.gateway.handle_reachable(&node, incarnation);
+                sessions.handle_reachable(NodeId::of(&node), incarnation, mtu);
+            }
+            RouterOutput::PathChanged { node, mtu } => sessions.handle_path(node, mtu),
+            RouterOutput::Lost { node, incarnation } => {
+                self.lower.with_router(|router| router.lost(&node, incarnation));
+                self.gateway.handle_unreachable(&node);
+                self.lower.sessions.handle_no_path(NodeId::of(&node));
+            }
+            output => self.lower.with_router(|router| router.carry_out(output)),
+        }
+    }
+
+    fn carry_out_of_session(&mut self, peer: NodeId, output: SessionOutput) {
+        match output {
+            SessionOutput::Opened { incarnation, number } => {
+                let Some(node) = self.lower.sessions.name(peer) else { return };
+                info!(%node, %incarnation, "session open");
+                self.gateway.session_opened(node, incarnation, number);
+            }
+            SessionOutput::Message { message, .. } | SessionOutput::Newest { message, .. } => {
+                self.gateway.handle_message(peer, message);
+            }
+            SessionOutput::Returned { message, why, sent, .. } => {
+                self.gateway.handle_returned(peer, message, why, sent);
+            }
+            SessionOutput::Ended { incarnation, why } => {
+                info!(%peer, %incarnation, %why, "session ended");
+                self.gateway.session_ended(peer, why);
+            }
+            SessionOutput::Incompatible { theirs } => {
+                error!(%peer, theirs, "the peer's sessions speak another version: update one node");
+            }
+            SessionOutput::Transmit { .. } => unreachable!("the lower floors transmit"),
+        }
+    }
+}
+
+answers_the_monitor!(NetworkStack);
+
+impl Actor for NetworkStack {
+    type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        self.gateway.take_interest();
+        context.run_interval(TIME_INTERVAL, |stack, context| {
+            stack.gateway.handle_time();
+            stack.drive_all(context);
+        });
+        context.run_interval(LOOK_INTERVAL, |stack, _| {
+            stack.gateway.look();
+            stack.lower.sessions.look_at_refusals();
+            stack.lower.sessions.look_at_rates();
+        });
+    }
+}
+
+impl Supervised for NetworkStack {
+    fn restarting(&mut self, context: &mut Context<Self>) {
+        self.wake = WakeTimer::default();
+        // What the old machine reported and was not carried out, the new one reports again.
+        self.lower.held = None;
+        self.lower.router.rebuild();
+        if !std::mem::take(&mut self.lower.in_router) {
+            for discarded in self.lower.sessions.replace_all() {
+                self.gateway.session_discarded(discarded);
+            }
+            let NetworkStack { gateway, lower, .. } = self;
+            // The output that panicked may not be the only one that does. Each round consumes one.
+            while let Err(again) = panics::caught(|| gateway.carry_out_all(&mut lower.sessions)) {
+                error!(%again, "a restarted network panics once more");
+            }
+            self.gateway.resolve_lost();
+        }
+        self.started(context);
+        // Later, where a panic leads to the next restart.
+        self.drive_soon(context);
+    }
+}
+
+impl MachineActor for NetworkStack {
+    type Machine = LowerFloors;
+
+    fn driven(&mut self) -> (&mut LowerFloors, &mut WakeTimer) {
+        (&mut self.lower, &mut self.wake)
+    }
+
+    fn carry_out(&mut self, output: StackOutput, _: &mut Context<Self>) {
+        match output {
+            StackOutput::Router(output) => self.carry_out_of_router(output),
+            StackOutput::Session(peer, output) => self.carry_out_of_session(peer, output),
+        }
+        self.drive_gateway();
+    }
+}
+
+impl Handler<AddLinks> for NetworkStack {
+    type Result = ();
+
+    fn handle(&mut self, message: AddLinks, _: &mut Context<Self>) {
+        self.lower.with_router(|router| router.add_links(message));
+    }
+}
+
+impl Handler<LinkChanged> for NetworkStack {
+    type Result = ();
+
+    fn handle(&mut self, message: LinkChanged, context: &mut Context<Self>) {
+        self.lower.with_router(|router| router.handle_link(message));
+        self.drive(context);
+    }
+}
+
+impl Handler<ReceivedOnLink> for NetworkStack {
+    type Result = ();
+
+    fn handle(&mut self, message: ReceivedOnLink, context: &mut Context<Self>) {
+        let ReceivedOnLink { link, load } = message;
+        self.lower.with_router(|router| router.handle_load(link, load));
+        self.drive_soon(context);
+    }
+}
+
+impl Handler<SendToPeer> for NetworkStack {
+    type Result = ();
+
+    fn handle(&mut self, message: SendToPeer, context: &mut Context<Self>) {
+        self.gateway.handle_send(message);
+        self.drive_all_soon(context);
+    }
+}
+
+impl Handler<LocalReply> for NetworkStack {
+    type Result = ();
+
+    fn handle(&mut self, message: LocalReply, context: &mut Context<Self>) {
+        self.gateway.handle_answer(message);
+        self.drive_all_soon(context);
+    }
+}
+
+impl Handler<LocalEvent> for NetworkStack {
+    type Result = ();
+
+    fn handle(&mut self, message: LocalEvent, context: &mut Context<Self>) {
+        self.gateway.handle_event(message);
+        self.drive_all_soon(context);
+    }
+}
+
+impl Handler<CapacityAvailable> for NetworkStack {
+    type Result = ();
+
+    fn handle(&mut self, message: CapacityAvailable, context: &mut Context<Self>) {
+        self.gateway.hand_over(message.peer, message.object);
+        self.drive_all_soon(context);
+    }
+}
+
+impl Handler<TopicInterestChanged> for NetworkStack {
+    type Result = ();
+
+    fn handle(&mut self, message: TopicInterestChanged, context: &mut Context<Self>) {
+        self.gateway.handle_interest(&message.key);
+        self.drive_all_soon(context);
+    }
+}
+
+impl Handler<StartCompleted> for NetworkStack {
+    type Result = ();
+
+    fn handle(&mut self, _: StartCompleted, context: &mut Context<Self>) {
+        self.gateway.handle_started();
+        self.drive_all(context);
+    }
+}
+
+impl Handler<CloseSessions> for NetworkStack {
+    type Result = ();
+
+    fn handle(&mut self, _: CloseSessions, context: &mut Context<Self>) {
+        self.gateway.handle_end();
+        self.drive_all(context);
+    }
+}
+
+impl Handler<IsolationChanged> for NetworkStack {
+    type Result = ();
+
+    fn handle(&mut self, message: IsolationChanged, context: &mut Context<Self>) {
+        let IsolationChanged { node, isolated } = message;
+        self.lower.with_router(|router| router.handle_isolation(&node, isolated));
+        if isolated {
+            self.gateway.handle_isolated(&node);
+        } else if let Some(session) = self.lower.sessions.machines.get_mut(NodeId::of(&node)) {
+            // What it sent meanwhile was not read: only a new session makes both agree again.
+            session.handle_restart(platform::now());
+        }
+        self.drive_all(context);
+    }
+}
+
+/// A recovery strategy has decided so.
+impl Handler<IsolateNode> for NetworkStack {
+    type Result = Result<RecoveryDone, RecoveryFailed>;
+
+    fn handle(&mut self, message: IsolateNode, _: &mut Context<Self>) -> Self::Result {
+        self.isolation.decide(message);
+        Ok(RecoveryDone::default())
+    }
+}
+
+impl Handler<RosterChanged> for NetworkStack {
+    type Result = ();
+
+    fn handle(&mut self, RosterChanged(keys): RosterChanged, context: &mut Context<Self>) {
+        self.gateway.handle_roster(&keys);
+        self.lower.with_router(|router| router.handle_roster(keys));
+        self.drive_all(context);
+    }
+}
+
+/// The alternative was chosen before it was needed: what is left to do is to say whether there is
+/// one. Where the only one may have failed as well, the answer waits until its link says so or
+/// recovers.
+impl Handler<Reroute> for NetworkStack {
+    type Result = PendingAnswer<Verdict>;
+
+    fn handle(&mut self, message: Reroute, context: &mut Context<Self>) -> Self::Result {
+        let node = match message.location {
+            FaultLocation::Link { neighbour: Some(node), .. } | FaultLocation::Node(node) => node,
+            other => {
+                let error = format!("the node behind {other} is not known");
+                return PendingAnswer::new(async { Err(error.into()) });
+            }
+        };
+        let (answer, verdict) = oneshot::channel();
+        self.lower.with_router(|router| router.inquire(node, answer));
+        self.drive(context);
+        PendingAnswer::new(async {
+            verdict.await.unwrap_or_else(|_| Err("the network was restarted".into()))
+        })
+    }
+}
+
+impl Handler<ReadRoutes> for NetworkStack {
+    type Result = Routes;
+
+    fn handle(&mut self, _: ReadRoutes, _: &mut Context<Self>) -> Routes {
+        let machine = &self.lower.router.machine;
+        let mut routes: Vec<_> = machine.routes().map(|(_, route)| route.clone()).collect();
+        routes.sort_by(|a, b| a.node.cmp(&b.node));
+        Routes { routes }
+    }
+}
+
+impl Handler<ReadSessions> for NetworkStack {
+    type Result = MessageResult<ReadSessions>;
+
+    fn handle(&mut self, _: ReadSessions, _: &mut Context<Self>) -> Self::Result {
+        let rows = self.lower.sessions.rows().map(|(id, node, session, rate)| SessionRow {
+            node: node.clone(),
+            status: session.status(),
+            rate,
+            differences: self.gateway.differences(id),
+        });
+        MessageResult(rows.collect())
+    }
+}
+
+impl Handler<InjectPanic> for NetworkStack {
+    type Result = ();
+
+    fn handle(&mut self, _: InjectPanic, _: &mut Context<Self>) {
+        self.lower.with_router(|_| panic!("the router panics on purpose"));
+    }
+}
+
+/// Runs on the stack what a test does there.
+#[cfg(test)]
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(super) struct RunOnStack(pub(super) Box<dyn FnOnce(&mut NetworkStack) + Send>);
+
+#[cfg(test)]
+impl Handler<RunOnStack> for NetworkStack {
+    type Result = ();
+
+    fn handle(&mut self, RunOnStack(act): RunOnStack, context: &mut Context<Self>) {
+        act(self);
+        self.drive_all(context);
+    }
+}
