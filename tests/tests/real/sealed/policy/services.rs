@@ -68,10 +68,11 @@ fn a_node_that_may_not_claim_a_service_answers_no_caller_and_does_not_stop_it() 
     let Some(_turn) = blastema_doubles::turn_if_long() else { return };
     blastema::run(async {
         let open: Vec<_> = NODES.map(|node| (node, Role::Node)).into();
-        let robot = Robot::new(&open, &["only base may claim on map".to_owned()]);
+        // Of two that may both claim it, the other one would go on.
+        let robot = Robot::new(&open, &["only arm may claim on map".to_owned()]);
         let carry = |own, node: NodeBuilder| match own {
-            0 => node.service(map("base", 0)),
-            1 => node.service(map("arm", 1000)),
+            0 => node.service(map("base", 1000)),
+            1 => node.service(map("arm", 0)),
             _ => node,
         };
         let [base, arm, head] = robot.start_all_with(carry).await;
@@ -90,24 +91,27 @@ fn a_node_that_may_claim_a_service_no_more_does_not_stop_it_any_more() {
     blastema::run(async {
         let open: Vec<_> = NODES.map(|node| (node, Role::Node)).into();
         let robot = Robot::new(&open, &[]);
-        // The arm has no majority: the head does not carry the service.
-        let carry = |own, node: NodeBuilder| match own {
-            0 => node.service(map("base", 0)),
-            1 => node.service(ServiceSpec::new("map", ["arm", "head"], || Map(0))),
-            _ => node,
+        // Neither has a majority before the head carries the service.
+        let shared = |with| ServiceSpec::new("map", [with, "head"], || Map(0));
+        let base = robot.start_with(0, |node| node.service(shared("base"))).await;
+        let arm = robot.start_with(1, |node| node.service(shared("arm"))).await;
+        let is_stopped = async |node: &Node| {
+            let faults = node.faults().await.entries;
+            faults.iter().any(|entry| {
+                entry.stands()
+                    && entry.fault.kind == FaultKind::ContractMismatch
+                    && entry.fault.detail.contains("its nodes are")
+            })
         };
-        let [base, arm, head] = robot.start_all_with(carry).await;
-        let is_stopped = async || {
-            let faults = base.faults().await.entries;
-            faults
-                .iter()
-                .any(|entry| entry.stands() && entry.fault.kind == FaultKind::ContractMismatch)
-        };
-        until(is_stopped, "the two were told different things").await;
+        until(async || is_stopped(&base).await, "the base has met the arm").await;
+        let head = robot.start_with(2, |node| node.service(shared("base"))).await;
+        until(async || is_stopped(&head).await, "the head has met the arm").await;
+        let refused = ask(&head).await;
+        assert!(matches!(refused, Err(DeliveryError::ContractDiffers { .. })), "{refused:?}");
 
-        robot.put(&open, &["only base may claim on map".to_owned()], 2);
-        until(async || ask(&head).await.is_ok(), "the base serves").await;
-        until(async || !is_stopped().await, "nothing is disputed any more").await;
+        robot.put(&open, &["only base head may claim on map".to_owned()], 2);
+        until(async || ask(&head).await == Ok(1), "there is a primary").await;
+        until(async || !is_stopped(&base).await, "nothing is disputed any more").await;
         end([base, arm, head]).await;
     });
 }

@@ -243,6 +243,49 @@ async fn a_service_has_a_primary_a_second_after_the_node_that_prevented_it_has_l
 }
 
 #[blastema_testkit::test]
+async fn a_list_is_changed_while_all_nodes_are_stopped_and_callers_keep_their_references() {
+    let medium = MemoryMedium::default();
+    let asker = TestNode::start(node("module0", &medium)).await;
+    let short = || on(&["module1", "module2"]);
+    let mut nodes =
+        vec![start("module1", &medium, short()).await, start("module2", &medium, short()).await];
+    let counter = asker.service::<Add>("counter").unwrap();
+    let ask = async |add| {
+        let answer = counter.ask_within(Add(add), 10_000 * MS).await;
+        answer.map_err(|error| error.kind)
+    };
+    assert_eq!(ask(1).await, Ok(1));
+    // The next primary has a later epoch than the first one after the change.
+    nodes[0].shutdown().await;
+    nodes[0] = start("module1", &medium, short()).await;
+    assert_eq!(ask(1).await, Ok(2));
+    let epoch = |nodes: &[TestNode]| {
+        let epochs = nodes.iter().filter_map(|node| match node.service_role("counter") {
+            Some(Role::Primary { epoch }) => Some(epoch),
+            _ => None,
+        });
+        epochs.collect::<Vec<_>>()
+    };
+    let before = epoch(&nodes);
+
+    for node in &nodes {
+        node.shutdown().await;
+    }
+    nodes.clear();
+    for own in MEMBERS {
+        nodes.push(start(own, &medium, on(&MEMBERS)).await);
+    }
+
+    assert_eq!(ask(5).await, Ok(5), "the state is lost");
+    let after = epoch(&nodes);
+    assert!(after.len() == 1 && before.len() == 1 && after < before, "{before:?}, {after:?}");
+    asker.advance(LOOK).await;
+    for node in &nodes {
+        assert_eq!(mismatch(node).await, None, "{}", node.name());
+    }
+}
+
+#[blastema_testkit::test]
 async fn a_listed_node_that_does_not_carry_the_service_is_named_while_the_others_serve() {
     let medium = MemoryMedium::default();
     let nodes = vec![

@@ -20,45 +20,37 @@ async fn a_caller_does_not_accept_a_restarted_node_with_another_configuration_an
     if !blastema_doubles::long() {
         return;
     }
-    for rule in [OnPartition::Stop, OnPartition::Continue] {
-        let (mut robot, counter) = in_its_second_epoch().await;
-        assert_eq!(counter.ask(Add(1)).await.map_err(|error| error.kind), Ok(1));
-        let own = MEMBERS[robot.primary()];
-        // The node ends without leaving.
-        drop(robot.members.remove(robot.primary()));
-        // The nodes that know the epoch are out of sight for a moment.
-        for other in &robot.members {
-            other.cable("ethernet").expect("a cable").cut(Direction::Both, false);
-        }
-        let list = if rule == OnPartition::Stop { vec![own] } else { MEMBERS.to_vec() };
-        let wrong = ServiceSpec::new("counter", list, Counter::default).on_partition(rule);
-        let wrong = node(own, &robot.medium).service(wrong.heartbeat_every(10 * MS));
-        let wrong = TestNode::start(wrong).await;
-        assert!(robot.asker.connected(own, 2000 * MS).await);
-        while wrong.service_role("counter") != Some(Role::Primary { epoch: 1 }) {
-            robot.asker.advance(MS).await;
-        }
+    let (mut robot, counter) = in_its_second_epoch().await;
+    assert_eq!(counter.ask(Add(1)).await.map_err(|error| error.kind), Ok(1));
+    let own = MEMBERS[robot.primary()];
+    // The node ends without leaving.
+    drop(robot.members.remove(robot.primary()));
+    // The nodes that know the epoch are out of sight for a moment.
+    for other in &robot.members {
+        other.cable("ethernet").expect("a cable").cut(Direction::Both, false);
+    }
+    let wrong = ServiceSpec::new("counter", [own], Counter::default).heartbeat_every(10 * MS);
+    let wrong = node(own, &robot.medium).service(wrong);
+    let wrong = TestNode::start(wrong).await;
+    assert!(robot.asker.connected(own, 2000 * MS).await);
+    while wrong.service_role("counter") != Some(Role::Primary { epoch: 1 }) {
+        robot.asker.advance(MS).await;
+    }
 
-        let clone = counter.clone();
-        let meanwhile = async {
-            robot.asker.advance(300 * MS).await;
-            for other in &robot.members {
-                other.cable("ethernet").expect("a cable").restore();
-            }
-            robot.asker.advance(3000 * MS).await;
-        };
-        let (answer, ()) = tokio::join!(clone.ask(Add(1)), meanwhile);
-        assert_eq!(
-            answer.map_err(|error| error.kind),
-            Ok(2),
-            "{rule:?}, by {:?}",
-            counter.primary()
-        );
-        for sum in 3..=100 {
-            let answer = clone.ask(Add(1)).await.map_err(|error| error.kind);
-            assert_eq!(answer, Ok(sum), "{rule:?}, by {:?}", counter.primary());
-            robot.asker.advance(5 * MS).await;
+    let clone = counter.clone();
+    let meanwhile = async {
+        robot.asker.advance(300 * MS).await;
+        for other in &robot.members {
+            other.cable("ethernet").expect("a cable").restore();
         }
+        robot.asker.advance(3000 * MS).await;
+    };
+    let (answer, ()) = tokio::join!(clone.ask(Add(1)), meanwhile);
+    assert_eq!(answer.map_err(|error| error.kind), Ok(2), "by {:?}", counter.primary());
+    for sum in 3..=100 {
+        let answer = clone.ask(Add(1)).await.map_err(|error| error.kind);
+        assert_eq!(answer, Ok(sum), "by {:?}", counter.primary());
+        robot.asker.advance(5 * MS).await;
     }
 }
 
