@@ -10,26 +10,24 @@
 //!
 //! A frame to [`BusAddress::ALL`] goes to all nodes, once, and is not confirmed.
 //!
-//! Before it is open, a node claims its address for a quarter of a second ([`AddressClaim`]).
-//! Claims are messages to all whose checksum is inverted, so that no node takes them for frames.
+//! No two nodes may have one address: a frame that comes under this node's own is reported.
 
 use crate::endpoint::CanNodeConfig;
 use crate::frame_medium::{FrameMedium, MediumEvent, OpenedMedium, QueueLimits, SendResult};
 use blastema_contract::transport::MediumAddress;
 use blastema_core::medium::can::isotp::{EnqueueError, IsoTpErrorCounts, SeparationTime};
 use blastema_core::medium::can::{
-    AddressClaim, AddressClaimOutput, AddressClaimed, Addressing, BusAddress, CanFrame, Format,
-    IsoTp, IsoTpConfig, IsoTpOutput, bits_on_bus,
+    Addressing, BusAddress, CanFrame, Format, IsoTp, IsoTpConfig, IsoTpOutput, bits_on_bus,
 };
 use blastema_core::{Instant, Machine};
 use bytes::{BufMut, Bytes, BytesMut};
 use crc::{CRC_32_ISCSI, Crc};
 use std::collections::VecDeque;
 use std::future::Future;
-use std::hash::{BuildHasher, RandomState};
 use std::io;
 use std::pin::Pin;
-use std::task::{self, Context, Poll};
+use std::task::{Context, Poll};
+use std::time::Duration;
 use tokio::time::Sleep;
 
 static CHECK: Crc<u32> = Crc::<u32>::new(&CRC_32_ISCSI);
@@ -38,6 +36,8 @@ const CHECK_LENGTH: usize = 4;
 /// So many CAN frames are moved in one turn, before others of the arbiter have theirs: as many as a
 /// message has.
 const TURN: usize = 160;
+/// How often it is reported that another node sends under this node's address.
+const CLASH_INTERVAL: Duration = Duration::from_secs(10);
 
 /// What moves CAN frames: a socket, or an adapter on a serial line.
 pub trait CanPort: Send + 'static {
@@ -100,23 +100,14 @@ pub struct CanNode<P> {
     /// The clock on which this arbiter's timers run.
     now: fn() -> Instant,
     machine: Option<IsoTp>,
-    /// Whose the address is.
-    claim: Option<AddressClaim>,
-    status: AddressState,
+    /// When it was reported last that another node sends under this node's address.
+    clash_reported_at: Option<Instant>,
     /// What the machine had refused when it was last looked at.
     refusals: IsoTpErrorCounts,
     /// A frame that the bus has not taken yet.
     ready: Option<CanFrame>,
     arrivals: VecDeque<MediumEvent>,
     timer: Option<(Instant, Pin<Box<Sleep>>)>,
-}
-
-/// How it stands with our address.
-enum AddressState {
-    Claiming,
-    Held,
-    /// Another has it.
-    Lost(AddressClaimed),
 }
 
 impl<P: CanPort> CanNode<P> {
@@ -132,8 +123,7 @@ impl<P: CanPort> CanNode<P> {
             format,
             now,
             machine: None,
-            claim: None,
-            status: AddressState::Claiming,
+            clash_reported_at: None,
             refusals: IsoTpErrorCounts::default(),
             ready: None,
             arrivals: VecDeque::new(),
@@ -161,22 +151,15 @@ impl<P: CanPort> CanNode<P> {
 
     /// Looks at what the machine has to say.
     fn settle(&mut self) {
-        let (own, now) = (BusAddress(self.config.address), (self.now)());
-        let (Some(machine), Some(claim)) = (&mut self.machine, &mut self.claim) else { return };
+        let Some(machine) = &mut self.machine else { return };
+        let mut address_taken = false;
         while let Some(output) = machine.poll_output() {
             let arrival = match output {
-                IsoTpOutput::Received { from, message } => match unseal(message) {
-                    Ok(_) if from == own => continue,
-                    Ok(frame) => MediumEvent::Frame { from: MediumAddress::Can(from.0), frame },
-                    Err(message) => match unseal_claim(&message) {
-                        Some(found) if from == own => {
-                            claim.handle_claim(found, now);
-                            continue;
-                        }
-                        Some(_) => continue,
-                        None => MediumEvent::Refused,
-                    },
-                },
+                IsoTpOutput::Received { from, message } => {
+                    let from = MediumAddress::Can(from.0);
+                    let frame = unseal(message);
+                    frame.map_or(MediumEvent::Refused, |frame| MediumEvent::Frame { from, frame })
+                }
                 IsoTpOutput::Sent { .. } => continue,
                 IsoTpOutput::NotSent { to, error, with_it } => {
                     tracing::debug!(%to, %error, "a frame was not sent over CAN");
@@ -187,7 +170,7 @@ impl<P: CanPort> CanNode<P> {
                     MediumEvent::Refused
                 }
                 IsoTpOutput::AddressTaken => {
-                    claim.handle_intruder(now);
+                    address_taken = true;
                     continue;
                 }
             };
@@ -197,48 +180,23 @@ impl<P: CanPort> CanNode<P> {
         let before = std::mem::replace(&mut self.refusals, machine.refusals());
         let more = malformed + unasked + forged - before.malformed - before.unasked - before.forged;
         self.arrivals.extend((0..more).map(|_| MediumEvent::Refused));
-        self.follow_claim(now);
-    }
-
-    /// Does what the claim to our address wants done.
-    fn follow_claim(&mut self, now: Instant) {
-        let (Some(machine), Some(claim)) = (&mut self.machine, &mut self.claim) else { return };
-        while let Some(output) = claim.poll_output() {
-            match output {
-                AddressClaimOutput::Say(claim) => {
-                    // If the queue to all is full, the nodes on the bus are received anyway.
-                    let _ = machine.handle_urgent(BusAddress::ALL, seal_claim(&claim), now);
-                }
-                AddressClaimOutput::Held => self.status = AddressState::Held,
-                AddressClaimOutput::Kept { from } => {
-                    let (address, own) = (self.config.address, own(&self.config));
-                    let text = format!(
-                        "{from} claims the address {address}, which {own} has and keeps: give one \
-                         of the two another, and let its neighbours know"
-                    );
-                    self.arrivals.push_back(MediumEvent::Clash { text });
-                }
-                AddressClaimOutput::Lost { to } => self.status = AddressState::Lost(to),
-            }
+        if address_taken {
+            self.report_clash();
         }
     }
 
-    /// Whether the address is ours.
-    ///
-    /// # Errors
-    /// It is another node's.
-    fn may_speak(&self) -> io::Result<bool> {
-        match &self.status {
-            AddressState::Claiming => Ok(false),
-            AddressState::Held => Ok(true),
-            AddressState::Lost(to) => {
-                let (address, own) = (self.config.address, own(&self.config));
-                Err(io::Error::other(format!(
-                    "{to} has the address {address}, which {own} claims: give one of the two \
-                     another, and let its neighbours know"
-                )))
-            }
+    fn report_clash(&mut self) {
+        let now = (self.now)();
+        if self.clash_reported_at.is_some_and(|at| now < at + CLASH_INTERVAL) {
+            return;
         }
+        self.clash_reported_at = Some(now);
+        let text = format!(
+            "another node sends under this node's address {}, or the adapter hands back what this \
+             node sends: give each node an address of its own, and let its neighbours know",
+            self.config.address
+        );
+        self.arrivals.push_back(MediumEvent::Clash { text });
     }
 
     fn send(
@@ -270,7 +228,6 @@ impl<P: CanPort> CanNode<P> {
         let more = self.keep_time(task) | more;
         let trouble = self.port.poll_trouble();
         self.arrivals.extend(trouble.map(|reason| MediumEvent::NoCarrier { reason }));
-        self.may_speak()?;
         Ok(more)
     }
 
@@ -319,18 +276,14 @@ impl<P: CanPort> CanNode<P> {
     /// Lets the machine act on what is due, and leaves a timer for what will be. Says whether
     /// anything was due.
     fn keep_time(&mut self, task: &mut Context<'_>) -> bool {
-        let (Some(machine), Some(claim)) = (&mut self.machine, &mut self.claim) else {
-            return false;
-        };
+        let Some(machine) = &mut self.machine else { return false };
         let now = (self.now)();
-        let due = machine.poll_timeout().into_iter().chain(claim.poll_timeout()).min();
-        let Some(due) = due else {
+        let Some(due) = machine.poll_timeout() else {
             self.timer = None;
             return false;
         };
         if due <= now {
             machine.handle_timeout(now);
-            claim.handle_timeout(now);
             self.settle();
             return true;
         }
@@ -375,26 +328,7 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
     }
 
     fn poll_ready(&mut self, task: &mut Context<'_>) -> Poll<io::Result<()>> {
-        let now = (self.now)();
-        task::ready!(self.port.poll_ready(task, now))?;
-        if self.claim.is_none() {
-            let number = RandomState::new().hash_one(0u64) as u32;
-            self.claim = Some(AddressClaim::new(&self.config.name, number, now));
-            self.follow_claim(now);
-        }
-        for _ in 0..TURN {
-            let more = self.carry_on(task)?;
-            // What others say before the address is ours is not for us.
-            self.arrivals.retain(|arrival| matches!(arrival, MediumEvent::Clash { .. }));
-            if self.may_speak()? {
-                return Poll::Ready(Ok(()));
-            }
-            if !more {
-                return Poll::Pending;
-            }
-        }
-        task.waker().wake_by_ref();
-        Poll::Pending
+        self.port.poll_ready(task, (self.now)())
     }
 
     fn knows(&self, address: &MediumAddress) -> bool {
@@ -435,8 +369,7 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
 
     fn close(&mut self) {
         self.port.close();
-        (self.machine, self.claim) = (None, None);
-        self.status = AddressState::Claiming;
+        self.machine = None;
         self.refusals = IsoTpErrorCounts::default();
         self.ready = None;
         self.arrivals.clear();
@@ -457,36 +390,11 @@ fn seal(frame: &[u8]) -> Bytes {
     message.freeze()
 }
 
-/// A frame without its checksum, if that is the frame's; the message otherwise.
-fn unseal(message: Bytes) -> Result<Bytes, Bytes> {
-    match message.split_last_chunk::<CHECK_LENGTH>() {
-        Some((frame, check)) if CHECK.checksum(frame).to_le_bytes() == *check => {
-            Ok(message.slice(..frame.len()))
-        }
-        _ => Err(message),
-    }
-}
-
-fn seal_claim(claim: &AddressClaimed) -> Bytes {
-    let claim = claim.encode();
-    let mut message = BytesMut::with_capacity(claim.len() + CHECK_LENGTH);
-    message.put_slice(&claim);
-    message.put_u32_le(!CHECK.checksum(&claim));
-    message.freeze()
-}
-
-fn unseal_claim(message: &[u8]) -> Option<AddressClaimed> {
-    let (claim, check) = message.split_last_chunk::<CHECK_LENGTH>()?;
-    let whole = (!CHECK.checksum(claim)).to_le_bytes() == *check;
-    AddressClaimed::decode(claim).filter(|_| whole)
-}
-
-/// How errors call us.
-fn own(config: &CanNodeConfig) -> String {
-    match config.name.as_str() {
-        "" => "this node".to_owned(),
-        name => format!("this node, {name},"),
-    }
+/// A frame without its checksum, if that is the frame's.
+fn unseal(message: Bytes) -> Option<Bytes> {
+    let (frame, check) = message.split_last_chunk::<CHECK_LENGTH>()?;
+    let whole = CHECK.checksum(frame).to_le_bytes() == *check;
+    whole.then(|| message.slice(..frame.len()))
 }
 
 #[cfg(test)]
@@ -497,21 +405,10 @@ mod tests {
     fn a_frame_is_told_from_parts_of_two() {
         for length in [0, 1, 7, 100] {
             let frame: Bytes = (0..length).collect();
-            assert_eq!(unseal(seal(&frame)), Ok(frame));
+            assert_eq!(unseal(seal(&frame)), Some(frame));
         }
         let (a, b) = (seal(&[1; 20]), seal(&[2; 20]));
-        assert!(unseal([&a[..13], &b[13..]].concat().into()).is_err());
-        assert!(unseal(Bytes::from_static(b"abc")).is_err());
-    }
-
-    #[test]
-    fn a_claim_is_no_frame_and_a_frame_no_claim() {
-        let claim = AddressClaimed { held: true, number: 7, name: "module1".into() };
-        let message = seal_claim(&claim);
-
-        assert_eq!(unseal_claim(&message), Some(claim.clone()));
-        assert!(unseal(message).is_err());
-        assert_eq!(unseal_claim(&seal(&claim.encode())), None);
-        assert_eq!(unseal_claim(b"abc"), None);
+        assert_eq!(unseal([&a[..13], &b[13..]].concat().into()), None);
+        assert_eq!(unseal(Bytes::from_static(b"abc")), None);
     }
 }

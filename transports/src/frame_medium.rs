@@ -134,9 +134,9 @@ pub enum MediumEvent {
         /// What it found, and what helps.
         reason: &'static str,
     },
-    /// Another wants our place on the medium, and does not get it: a user must know.
+    /// Another node sends under this node's address on the medium: a user must know.
     Clash {
-        /// The node that wants it, and what helps.
+        /// Which address, and what helps.
         text: String,
     },
     /// A connection with this peer is gone (media with connections only).

@@ -186,9 +186,9 @@ pub enum TransportReport {
         /// What it found, and what helps.
         reason: &'static str,
     },
-    /// Another node wants our address on the medium, and does not get it.
+    /// Another node sends under this node's address on the medium.
     Clash {
-        /// Which medium and address, who, and what helps.
+        /// Which medium and address, and what helps.
         reason: String,
     },
     /// A connection to this peer is gone (media with connections only).

@@ -11,8 +11,6 @@ pub struct CanNodeConfig {
     /// Our number on the bus, 0 to 254. No two nodes may have the same; peers are given by theirs.
     /// What is sent to 255 goes to all.
     pub address: u8,
-    /// How we are called where two nodes have one address. A node sets its own name.
-    pub name: String,
     /// Identifiers of 11 bits, for buses and adapters that know no others: addresses 0 to 30 then.
     /// All nodes of the bus must do alike.
     pub short_ids: bool,
@@ -31,7 +29,6 @@ impl Default for CanNodeConfig {
     fn default() -> Self {
         CanNodeConfig {
             address: 0,
-            name: String::new(),
             short_ids: false,
             // 148 classic frames: 40 ms of a bus of 500 kbit/s, less than between two hellos.
             mtu: 1_024,

@@ -3,7 +3,7 @@
 use crate::conformance::end::{End, in_real_time};
 use actix::Actor;
 use blastema_contract::transport::MediumAddress::Can;
-use blastema_contract::transport::{Close, TransportReport};
+use blastema_contract::transport::TransportReport;
 use blastema_ptys::Adapters;
 use blastema_transports::{FrameTransport, SlcanBus, SlcanConfig};
 
@@ -147,40 +147,33 @@ fn nodes_with_short_identifiers_understand_each_other() {
 }
 
 #[test]
-fn who_comes_second_with_an_address_is_silent_until_it_is_free_and_both_are_told() {
+fn two_nodes_with_one_address_are_both_told_and_a_third_is_not() {
     let _turn = blastema_doubles::turn();
     in_real_time(async {
         let bus = Adapters::new();
         (1..=3).for_each(|number| bus.plug(number));
-        let named = |number: u8, address: u8, name: &'static str| {
-            with(&bus, number, |config| {
-                (config.node.address, config.node.name) = (address, name.into());
-            })
-        };
-        let (first, other) = (named(1, 7, "zebra"), named(3, 9, "other"));
-        first.opened().await;
-        other.opened().await;
+        let of =
+            |number: u8, address: u8| with(&bus, number, |config| config.node.address = address);
+        let (first, second, other) = (of(1, 7), of(2, 7), of(3, 9));
+        for end in [&first, &second, &other] {
+            end.opened().await;
+        }
 
-        let second = named(2, 7, "adder");
-        let reason = second.closed().await;
         let clash = |report: &TransportReport| matches!(report, TransportReport::Clash { .. });
-        let TransportReport::Clash { reason: text } = first.reports.wait(clash).await else {
-            unreachable!("it was waited for")
-        };
+        for (number, sender, told) in [(2, &first, &second), (1, &second, &first)] {
+            sender.send(Can(255), "to all, in more than one CAN frame");
+            other.expect(Can(7), "to all, in more than one CAN frame").await;
+            let TransportReport::Clash { reason } = told.reports.wait(clash).await else {
+                unreachable!("it was waited for")
+            };
+            let port = format!("slcan {}", bus.port(number).display());
+            let expected = "another node sends under this node's address 7";
+            assert!(reason.starts_with(&port) && reason.contains(expected), "{reason}");
+        }
 
-        let port = |number: u8| format!("slcan {}", bus.port(number).display());
-        let lost = "node zebra has the address 7, which this node, adder, claims: give one of the two another";
-        assert!(reason.starts_with(&port(2)) && reason.contains(lost), "{reason}");
-        let kept = "node adder claims the address 7, which this node, zebra, has and keeps: give one of the two another";
-        assert!(text.starts_with(&port(1)) && text.contains(kept), "{text}");
-        other.send(Can(7), "to the one who has it");
-        first.expect(Can(9), "to the one who has it").await;
-        assert_eq!(second.frames.recorded(), 0);
-
-        first.transport.close.do_send(Close);
-        second.opened().await;
-        other.send(Can(7), "to the one who has it now");
-        second.expect(Can(9), "to the one who has it now").await;
+        // The one whose address it is receives nothing of it as if it were another node's.
+        assert_eq!((first.frames.recorded(), second.frames.recorded()), (0, 0));
+        assert!(!other.reports.drain().iter().any(clash));
     });
 }
 

@@ -185,7 +185,7 @@ fn make_networks(
     let silence = networks.iter().map(|network| network.medium_kind().timeout()).max();
     let silence = silence.unwrap_or_default();
     for network in networks {
-        let started = network.start((node, has_keys), guardian, arbiter.as_ref())?;
+        let started = network.start(has_keys, guardian, arbiter.as_ref())?;
         let beacons = started.spec.discovery.iter().map(|spec| &spec.beacons.0);
         let of_network = beacons.chain([&started.spec.transport]);
         transports.extend(of_network.map(|transport| transport.close.clone()));

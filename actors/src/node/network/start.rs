@@ -14,7 +14,6 @@ use blastema_core::net::discovery::DiscoveryAdmission;
 use blastema_core::{NodeName, ObjectName};
 #[cfg(feature = "unix")]
 use blastema_transports::Unix;
-use blastema_transports::endpoint::{CanConfig, SlcanConfig};
 use blastema_transports::{
     Endpoint, EndpointError, FaultInjector, FaultInjectorConfig, FrameTransport, Memory,
     MemoryConfig, MemoryMedium,
@@ -45,15 +44,6 @@ impl Medium {
             (Remote::Written(text), Medium::Own { .. }) => {
                 Ok(MediumAddress::Own(text.as_str().into()))
             }
-        }
-    }
-
-    /// Sets the node's name, which another node with the same address on a bus gets to see.
-    fn name_node(&mut self, own: &NodeName) {
-        if let Medium::At(Endpoint::Can(CanConfig { node, .. }))
-        | Medium::At(Endpoint::Slcan(SlcanConfig { node, .. })) = self
-        {
-            node.name = own.to_string();
         }
     }
 
@@ -127,10 +117,10 @@ impl TransportPlace<'_> {
 }
 
 impl Network {
-    /// Starts the transports, of this node. Nothing runs where that is refused.
+    /// Starts the transports. Nothing runs where that is refused.
     pub(in crate::node) fn start(
         self,
-        (own, has_keys): (&NodeName, bool),
+        has_keys: bool,
         guardian: &Guardian,
         arbiter: Option<&ArbiterHandle>,
     ) -> Result<StartedNetwork, StartError> {
@@ -142,7 +132,6 @@ impl Network {
         let admission = self.admission()?;
         let interface = self.used_interface();
         let Network { name, mut medium, memory, faults, .. } = self;
-        medium.name_node(own);
         #[cfg(feature = "serial")]
         if let Some(seal) = seal {
             medium.make_room_for(seal);

@@ -5,18 +5,15 @@
 //!        messages ──► isotp ──► frames ──► socket                 (SocketCAN)
 //!                       │          └─────► slcan ──► serial line  (adapters)
 //!                    address: who speaks to whom, in the identifier
-//!                    claim: whose an address is
 //! ```
 //!
 //! Not here: sockets, serial lines, and what a message means.
 
 pub mod address;
-pub mod claim;
 pub mod frame;
 pub mod isotp;
 pub mod slcan;
 
 pub use address::{AddressInfo, Addressing, BusAddress};
-pub use claim::{AddressClaim, AddressClaimOutput, AddressClaimed};
 pub use frame::{CLASSIC_MAX, CanFrame, CanId, FD_MAX, Format, bits_on_bus};
 pub use isotp::{IsoTp, IsoTpConfig, IsoTpOutput};

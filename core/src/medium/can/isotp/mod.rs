@@ -100,8 +100,7 @@ pub enum IsoTpOutput {
         /// Why it was not received.
         error: ReceptionError,
     },
-    /// Another node speaks under our address, or the bus hands back what we said ourselves. What it
-    /// says to all is received nevertheless, as from us.
+    /// Another node sends under this node's address, or the bus hands back what this node sent.
     AddressTaken,
 }
 
@@ -231,10 +230,10 @@ impl IsoTp {
         };
         if source == self.own {
             self.refusals.forged += 1;
-            self.outputs.push_back(IsoTpOutput::AddressTaken);
+            return self.outputs.push_back(IsoTpOutput::AddressTaken);
         }
         let to_all = target == BusAddress::ALL;
-        if !to_all && (source == self.own || target != self.own) {
+        if !to_all && target != self.own {
             return;
         }
         match Pdu::decode(frame.data()) {
