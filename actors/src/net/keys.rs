@@ -43,14 +43,6 @@ pub enum KeysPermissions {
     Unchecked,
 }
 
-/// How the frames of one network are sealed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct SealTerms {
-    pub(crate) profile: SealProfile,
-    /// A sender on the medium can claim any address.
-    pub(crate) forgeable_addresses: bool,
-}
-
 /// Why a roster does not count.
 #[derive(Debug)]
 pub(super) struct RosterRefusal {
@@ -279,9 +271,9 @@ impl NodeKeys {
     pub(crate) fn sealer(
         &self,
         incarnation: Incarnation,
-        terms: SealTerms,
+        profile: SealProfile,
     ) -> Sealer<NoiseCrypto, MediumAddress> {
-        let (config, random) = self.sealer_config(incarnation, terms);
+        let (config, random) = self.sealer_config(incarnation, profile);
         Sealer::new(config, self.own.seed.handshakes(), *random, platform::now())
     }
 
@@ -290,9 +282,7 @@ impl NodeKeys {
     /// # Panics
     /// As [`sealer`](NodeKeys::sealer).
     pub(super) fn router_keys(&self, incarnation: Incarnation) -> RouterKeys {
-        // A relay can put any source on a packet.
-        let terms = SealTerms { profile: SealProfile::Full, forgeable_addresses: true };
-        let (config, random) = self.sealer_config(incarnation, terms);
+        let (config, random) = self.sealer_config(incarnation, SealProfile::Full);
         RouterKeys::new(&self.own.seed, &self.roster, config, *random, platform::now())
     }
 
@@ -304,14 +294,12 @@ impl NodeKeys {
     fn sealer_config(
         &self,
         incarnation: Incarnation,
-        terms: SealTerms,
+        profile: SealProfile,
     ) -> (SealerConfig, Zeroizing<[u8; 32]>) {
-        let SealTerms { profile, forgeable_addresses } = terms;
         let node = NodeId::of(&self.own.node);
         let config = SealerConfig {
             profile,
             fast_aes: platform::has_aes(),
-            forgeable_addresses,
             ..SealerConfig::new(node, incarnation, self.robot().as_str())
         };
         let random = platform::random_bytes().expect("the system gave random numbers at the start");

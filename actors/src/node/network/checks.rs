@@ -8,6 +8,7 @@ use crate::settings::SettingError;
 use crate::settings::network::{EXPECTED_WITHIN, HELLO_INTERVAL};
 use blastema_core::NodeName;
 use blastema_core::net::routing::MTU_MIN;
+use blastema_core::net::seal::SealProfile;
 use blastema_core::net::wire::advertisement::NEIGHBOURS_MAX;
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_transports::endpoint::is_interface;
@@ -149,7 +150,7 @@ impl Network {
 
     /// On a sealed network frames have room for the seal; each neighbour has a key, and one link.
     fn check_sealed(&self, keys: &NodeKeys) -> Result<(), StartError> {
-        let seal = self.seal_terms().map_or(0, |terms| terms.profile.overhead());
+        let seal = self.seal_profile().map_or(0, SealProfile::overhead);
         if let Some(mtu) = self.set_mtu().filter(|mtu| *mtu < MTU_MIN + seal) {
             return Err(StartError::Network(format!(
                 "network {}: of frames of {mtu} bytes a seal takes {seal}, which leaves too few: \

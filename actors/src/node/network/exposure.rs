@@ -1,7 +1,6 @@
 //! How far the frames of a network travel, and the refusal of one that leaves the computer.
 
 use super::{Medium, Network};
-use crate::net::keys::SealTerms;
 use crate::node::error::StartError;
 use crate::node::network_rows::NetworkRow;
 use blastema_core::net::seal::SealProfile;
@@ -49,21 +48,13 @@ impl Network {
 
     /// How its frames are sealed by a node that has keys. Within a process no other program can
     /// send.
-    pub(in crate::node) fn seal_terms(&self) -> Option<SealTerms> {
-        let (profile, forgeable_addresses) = match &self.medium {
+    pub(in crate::node) fn seal_profile(&self) -> Option<SealProfile> {
+        let profile = match &self.medium {
             // Frames of a bus are small, and its cable is within the robot.
-            Medium::At(Endpoint::Can(_) | Endpoint::Slcan(_)) => (SealProfile::Compact, false),
-            // A line may be a radio.
-            #[cfg(feature = "serial")]
-            Medium::At(Endpoint::Serial(_)) => (SealProfile::Full, false),
-            // A stream's other end is where it was when it connected.
-            #[cfg(feature = "ip")]
-            Medium::At(Endpoint::Tcp(_)) => (SealProfile::Full, false),
-            #[cfg(feature = "unix")]
-            Medium::At(Endpoint::Unix(_)) => (SealProfile::Full, false),
-            _ => (SealProfile::Full, true),
+            Medium::At(Endpoint::Can(_) | Endpoint::Slcan(_)) => SealProfile::Compact,
+            _ => SealProfile::Full,
         };
-        self.leaves_process().then_some(SealTerms { profile, forgeable_addresses })
+        self.leaves_process().then_some(profile)
     }
 
     /// The largest frame that the user has set; `None` where the medium chooses it.

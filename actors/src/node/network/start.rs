@@ -1,8 +1,6 @@
 //! Starts the transports of a network that was described.
 
 use super::{Admitted, Cable, Link, Medium, Network, Remote};
-#[cfg(feature = "serial")]
-use crate::net::keys::SealTerms;
 use crate::net::{DiscoverySpec, LinkSpec, NetworkSpec};
 use crate::node::error::StartError;
 use crate::platform;
@@ -11,6 +9,8 @@ use crate::settings::network::HELLO_INTERVAL;
 use actix::prelude::*;
 use blastema_contract::transport::{MediumAddress, Transport};
 use blastema_core::net::discovery::DiscoveryAdmission;
+#[cfg(feature = "serial")]
+use blastema_core::net::seal::SealProfile;
 use blastema_core::{NodeName, ObjectName};
 #[cfg(feature = "unix")]
 use blastema_transports::Unix;
@@ -49,11 +49,11 @@ impl Medium {
 
     /// Lets the frames of a serial line hold a seal beside what they hold without one.
     #[cfg(feature = "serial")]
-    fn make_room_for(&mut self, seal: SealTerms) {
+    fn make_room_for(&mut self, seal: SealProfile) {
         if let Medium::At(Endpoint::Serial(config)) = self
             && config.mtu.is_none()
         {
-            config.mtu = Some(config.mtu() + seal.profile.overhead());
+            config.mtu = Some(config.mtu() + seal.overhead());
         }
     }
 
@@ -126,7 +126,7 @@ impl Network {
     ) -> Result<StartedNetwork, StartError> {
         let [object, sender, cable] = ["transport", "beacons", "cable"].map(|of| self.object(of));
         let (object, sender, cable) = (object?, sender?, cable?);
-        let seal = self.seal_terms().filter(|_| has_keys);
+        let seal = self.seal_profile().filter(|_| has_keys);
         let links = self.link_specs()?;
         let beacons = self.beacon_socket()?;
         let admission = self.admission()?;

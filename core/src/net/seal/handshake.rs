@@ -3,16 +3,14 @@
 use super::channel::{Channel, ChannelTerms, OfferedChannel, OpenError};
 use super::cipher::{ChannelKeys, CipherSuite, HandshakeTerms, SealCrypto};
 use super::handshake_frame::{
-    AnswerFrame, CookieFrame, HandshakeFrame, InitFrame, decode_payload, encode_payload, mac2,
+    AnswerFrame, HandshakeFrame, InitFrame, decode_payload, encode_payload,
 };
-use super::noise::MacKey;
 use super::sealed_peer::{Approach, SealedPeer};
 use super::{Sealer, SealerOutput};
 use crate::medium::lane::FrameLane;
 use crate::net::wire::node_id::NodeId;
 use crate::{Incarnation, Instant};
 use bytes::Bytes;
-use std::hash::Hash;
 use std::time::Duration;
 
 /// Handshakes that this node has begun, or has answered, and that are not complete. Beyond that the
@@ -23,8 +21,6 @@ pub(super) const OFFERS_MAX: usize = 16;
 const STEPS_MAX: usize = 32;
 /// A knock is answered by an init once in this time.
 const KNOCK_INTERVAL: Duration = Duration::from_millis(500);
-/// An init with a cookie is taken once in this time, whatever the budget says.
-const PROVEN_INTERVAL: Duration = Duration::from_millis(100);
 
 /// One message's worth of arithmetic that waits for its turn.
 #[derive(Debug)]
@@ -43,7 +39,7 @@ impl<A> HandshakeStep<A> {
     }
 }
 
-impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
+impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
     /// Whether handshakes with this peer are begun here.
     pub(super) fn is_initiator(&self, peer: NodeId) -> bool {
         self.config.node < peer
@@ -104,7 +100,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
                 // Another address was not given to this node: a knock named it, which may be a
                 // replay, and gets one init. The peer knocks again.
                 if peer.address.as_ref() == Some(to) {
-                    let frame = peer.keys.encoded(&HandshakeFrame::Init(*init), now);
+                    let frame = peer.keys.encoded(&HandshakeFrame::Init(*init));
                     let to = to.clone();
                     self.transmit(to, frame);
                 }
@@ -126,7 +122,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         if let Some(peer) = self.peers.get(&node)
             && let Some(to) = peer.address.clone()
         {
-            let frame = peer.keys.encoded(&knock, now);
+            let frame = peer.keys.encoded(&knock);
             self.transmit(to, frame);
         }
     }
@@ -169,21 +165,20 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
     ) -> Result<(), OpenError> {
         let frame = HandshakeFrame::decode(bytes)?;
         let done = match &frame {
-            HandshakeFrame::Init(init) => self.handle_init(init, &frame, bytes, from, now),
+            HandshakeFrame::Init(init) => self.handle_init(init, bytes, from, now),
             HandshakeFrame::Knock { from: node, to, nonce } => {
                 self.check_initiator(*to, self.config.node < *node)?;
-                self.peer(*node)?.keys.has_proof(&frame, bytes)?;
+                self.peer(*node)?.keys.has_proof(bytes)?;
                 self.handle_knock(*node, *nonce, from, now)
             }
             HandshakeFrame::Answer(answer) => {
                 let (node, _) = self.asked(answer.answered)?;
-                self.peer(node)?.keys.has_proof(&frame, bytes)?;
+                self.peer(node)?.keys.has_proof(bytes)?;
                 self.push(HandshakeStep::Answer(node, *answer, from.clone()))
             }
-            HandshakeFrame::Cookie(cookie) => self.handle_cookie(cookie, now),
             HandshakeFrame::Prefer { channel, suite } => {
                 let (node, _) = self.asked(*channel)?;
-                self.peer(node)?.keys.has_proof(&frame, bytes)?;
+                self.peer(node)?.keys.has_proof(bytes)?;
                 self.handle_prefer(node, *suite)
             }
         };
@@ -224,14 +219,13 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
     fn handle_init(
         &mut self,
         init: &InitFrame,
-        frame: &HandshakeFrame,
         bytes: &[u8],
         from: &A,
         now: Instant,
     ) -> Result<(), OpenError> {
         self.check_initiator(init.to, init.from < self.config.node)?;
         let peer = self.peers.get(&init.from).ok_or(OpenError::Unknown)?;
-        peer.keys.has_proof(frame, bytes)?;
+        peer.keys.has_proof(bytes)?;
         if self.repeats.contains(init.from, init.ephemeral()) {
             // Our answer may have been lost.
             if let Some(offer) = &peer.channels.offered
@@ -242,48 +236,17 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
             }
             return Err(OpenError::Repeated);
         }
-        self.admit(init, frame.mac1(bytes).1, mac2(bytes), from, now)?;
+        if !self.budget.add((), now) {
+            return Err(OpenError::Limited);
+        }
         if init.suite == CipherSuite::AesGcm && !self.config.fast_aes {
             let suite = self.config.suite();
             let prefer = HandshakeFrame::Prefer { channel: init.channel, suite };
-            let frame = self.peer(init.from)?.keys.encoded(&prefer, now);
+            let frame = self.peer(init.from)?.keys.encoded(&prefer);
             self.transmit(from.clone(), frame);
             return Ok(());
         }
         self.push(HandshakeStep::Init(*init, from.clone()))
-    }
-
-    /// Whether there is a handshake left in the budget, or its sender has shown a cookie.
-    fn admit(
-        &mut self,
-        init: &InitFrame,
-        mac1: &[u8],
-        (covered, mac2): (&[u8], &[u8]),
-        from: &A,
-        now: Instant,
-    ) -> Result<(), OpenError> {
-        if self.budget.add((), now) {
-            return Ok(());
-        }
-        if !self.config.forgeable_addresses {
-            return Err(OpenError::Limited);
-        }
-        let cookie = self.cookies.cookie(init.from, from, &mut self.seeds, now);
-        let nonce = *self.seeds.next_seed().first_chunk().expect("12 of 32 bytes");
-        let peer = self.peer(init.from)?;
-        if MacKey::new(&cookie).verify_short(&[covered], mac2) {
-            if now < peer.proven_at {
-                return Err(OpenError::Limited);
-            }
-            peer.proven_at = now + PROVEN_INTERVAL;
-            return Ok(());
-        }
-        let mac1 = mac1.first_chunk().expect("mac1 was found right");
-        let sealed = peer.keys.cookie_cipher.seal(nonce, mac1, cookie);
-        let reply = CookieFrame { answered: init.channel, nonce, sealed };
-        let frame = peer.keys.encoded(&HandshakeFrame::Cookie(reply), now);
-        self.transmit(from.clone(), frame);
-        Err(OpenError::Limited)
     }
 
     fn handle_knock(
@@ -302,7 +265,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         {
             // The init was lost, or the peer is elsewhere: it is sent once more, which costs no
             // arithmetic.
-            let frame = peer.keys.encoded(&HandshakeFrame::Init(*init), now);
+            let frame = peer.keys.encoded(&HandshakeFrame::Init(*init));
             peer.knock_at = now + KNOCK_INTERVAL;
             self.repeats.insert(node, nonce);
             self.transmit(from.clone(), frame);
@@ -316,18 +279,6 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         peer.knock_at = now + KNOCK_INTERVAL;
         peer.knocked_from = Some(from.clone());
         self.begin(node, now);
-        Ok(())
-    }
-
-    fn handle_cookie(&mut self, cookie: &CookieFrame, now: Instant) -> Result<(), OpenError> {
-        let (node, init) = self.asked(cookie.answered)?;
-        let peer = self.peer(node)?;
-        // That of the init itself: mac1 does not depend on a cookie.
-        let frame = HandshakeFrame::Init(init);
-        let bytes = peer.keys.encoded(&frame, now);
-        let mac1 = frame.mac1(&bytes).1.first_chunk().expect("8 bytes");
-        let opened = peer.keys.cookie_cipher.open(cookie.nonce, mac1, cookie.sealed);
-        peer.keys.cookie = Some((opened.ok_or(OpenError::Filtered)?, now));
         Ok(())
     }
 
@@ -368,7 +319,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
             return;
         };
         let init = InitFrame { suite: peer.suite, channel: number, from, to: node, noise };
-        let frame = peer.keys.encoded(&HandshakeFrame::Init(init), now);
+        let frame = peer.keys.encoded(&HandshakeFrame::Init(init));
         peer.go_on(Approach::Asking { handshake, init, to: to.clone(), since: now });
         self.transmit(to, frame);
         self.index(node);
@@ -415,7 +366,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         let channel = self.new_channel(init.suite, number, init.channel, theirs, &keys, now);
         let answer = AnswerFrame { channel: number, answered: init.channel, noise };
         let Some(peer) = self.peers.get_mut(&node) else { return };
-        let answer = peer.keys.encoded(&HandshakeFrame::Answer(answer), now);
+        let answer = peer.keys.encoded(&HandshakeFrame::Answer(answer));
         let ephemeral = init.ephemeral();
         let offer = OfferedChannel { channel, since: now, ephemeral, answer: answer.clone() };
         peer.channels.offered = Some(offer);
