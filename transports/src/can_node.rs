@@ -77,16 +77,7 @@ pub trait CanPort: Send + 'static {
     ///
     /// # Errors
     /// It is lost: it is closed, and opened again.
-    fn poll_read(
-        &mut self,
-        task: &mut Context<'_>,
-        now: Instant,
-    ) -> Poll<io::Result<Option<CanFrame>>>;
-
-    /// What it has learned of the bus since, if that is as good as cut off, and what helps.
-    fn poll_trouble(&mut self) -> Option<&'static str> {
-        None
-    }
+    fn poll_read(&mut self, task: &mut Context<'_>) -> Poll<io::Result<Option<CanFrame>>>;
 
     /// Lets go of it.
     fn close(&mut self);
@@ -226,8 +217,6 @@ impl<P: CanPort> CanNode<P> {
         self.settle();
         let more = self.read(task)? | more;
         let more = self.keep_time(task) | more;
-        let trouble = self.port.poll_trouble();
-        self.arrivals.extend(trouble.map(|reason| MediumEvent::NoCarrier { reason }));
         Ok(more)
     }
 
@@ -256,7 +245,7 @@ impl<P: CanPort> CanNode<P> {
                 return Ok(true);
             }
             let now = (self.now)();
-            match self.port.poll_read(task, now) {
+            match self.port.poll_read(task) {
                 Poll::Pending => return Ok(false),
                 Poll::Ready(frame) => match (frame?, &mut self.machine) {
                     (Some(frame), Some(machine)) => {

@@ -188,9 +188,7 @@ impl Handler<TransportReport> for FaultInjector {
 
     fn handle(&mut self, message: TransportReport, _: &mut Context<Self>) {
         match message {
-            TransportReport::PeerLost { .. }
-            | TransportReport::Clash { .. }
-            | TransportReport::NoCarrier { .. } => {
+            TransportReport::PeerLost { .. } | TransportReport::Clash { .. } => {
                 self.upstream.report(message);
             }
             TransportReport::Rate { bytes_per_second } => {

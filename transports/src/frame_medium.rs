@@ -129,11 +129,6 @@ pub enum MediumEvent {
         /// The number of lost frames.
         frames: u64,
     },
-    /// The medium is open, but has found that no peer is at its other end.
-    NoCarrier {
-        /// What it found, and what helps.
-        reason: &'static str,
-    },
     /// Another node sends under this node's address on the medium: a user must know.
     Clash {
         /// Which address, and what helps.

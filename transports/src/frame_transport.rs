@@ -138,9 +138,6 @@ impl FrameTransport {
                     self.upstream.counters.dropped += frames;
                     self.upstream.counters.errors += 1;
                 }
-                Poll::Ready(Ok(MediumEvent::NoCarrier { reason })) => {
-                    self.upstream.report(TransportReport::NoCarrier { reason });
-                }
                 Poll::Ready(Ok(MediumEvent::Clash { text })) => {
                     let reason = format!("{}: {text}", self.medium.name());
                     self.upstream.report(TransportReport::Clash { reason });

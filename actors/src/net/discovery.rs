@@ -353,7 +353,6 @@ impl Handler<TransportReport> for DiscoveryActor {
             TransportReport::Ended
             | TransportReport::Rate { .. }
             | TransportReport::PeerLost { .. }
-            | TransportReport::NoCarrier { .. }
             | TransportReport::Clash { .. } => {}
         }
     }

@@ -457,7 +457,6 @@ impl Handler<TransportReport> for LinksActor {
                 self.bundle.handle_rate(bytes_per_second);
                 self.tell_router_all();
             }
-            TransportReport::NoCarrier { reason } => self.no_carrier(reason, now),
             TransportReport::Clash { reason } => self.clash(reason),
             TransportReport::PeerLost { peer } => {
                 if let Some(number) = self.bundle.link_at(&peer) {

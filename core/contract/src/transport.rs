@@ -180,12 +180,6 @@ pub enum TransportReport {
         /// Bytes of frames in a second, both ways together.
         bytes_per_second: u64,
     },
-    /// The medium is open, but has found that no node is at its other end: what is heard later
-    /// proves the contrary.
-    NoCarrier {
-        /// What it found, and what helps.
-        reason: &'static str,
-    },
     /// Another node sends under this node's address on the medium.
     Clash {
         /// Which medium and address, and what helps.

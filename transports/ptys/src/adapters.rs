@@ -36,7 +36,6 @@ enum Order {
     Plug { at: PathBuf, mute: bool },
     Unplug { at: PathBuf },
     Inject { at: PathBuf, bytes: Vec<u8> },
-    Trouble { at: PathBuf, flags: u8 },
 }
 
 struct Adapter {
@@ -48,8 +47,6 @@ struct Adapter {
     is_open: bool,
     /// It answers no commands.
     mute: bool,
-    /// What it says of its bus.
-    flags: u8,
     waiting: Vec<u8>,
 }
 
@@ -96,11 +93,6 @@ impl Adapters {
         self.order(Order::Inject { at: self.port(number), bytes: bytes.to_vec() });
     }
 
-    /// Lets the adapter say this of its bus when it is asked: the bits of CAN232.
-    pub fn trouble(&self, number: u8, flags: u8) {
-        self.order(Order::Trouble { at: self.port(number), flags });
-    }
-
     fn order(&self, order: Order) {
         self.orders.send(order).expect("the bus runs");
         let wake = self.wake.as_ref().expect("open while we are");
@@ -137,16 +129,7 @@ impl Adapter {
         rustix::io::ioctl_fionbio(&master, true).expect("a file");
         symlink(name.to_str().expect("ASCII"), at).expect("no port is there");
         let (at, lines) = (at.to_owned(), LineSplitter::default());
-        Adapter {
-            at,
-            master,
-            _slave: slave,
-            lines,
-            is_open: false,
-            mute,
-            flags: 0,
-            waiting: Vec::new(),
-        }
+        Adapter { at, master, _slave: slave, lines, is_open: false, mute, waiting: Vec::new() }
     }
 
     fn say(&mut self, reply: &AdapterReply) {
@@ -187,9 +170,6 @@ impl Adapter {
                 Ok(AdapterCommand::Close) if self.is_open => {
                     self.is_open = false;
                     self.answer(&AdapterReply::Done);
-                }
-                Ok(AdapterCommand::Status) => {
-                    self.answer(&AdapterReply::Answer(format!("F{:02X}", self.flags)));
                 }
                 Ok(AdapterCommand::BitRate(_) | AdapterCommand::DataRate(_)) if !self.is_open => {
                     self.answer(&AdapterReply::Done)
@@ -240,10 +220,6 @@ fn carry_out(order: Order, adapters: &mut Vec<Adapter>) {
         Order::Unplug { at } => {
             adapters.retain(|adapter| adapter.at != at);
             std::fs::remove_file(at).expect("it was plugged in");
-        }
-        Order::Trouble { at, flags } => {
-            let adapter = adapters.iter_mut().find(|adapter| adapter.at == at);
-            adapter.expect("it is plugged in").flags = flags;
         }
         Order::Inject { at, bytes } => {
             let adapter = adapters.iter_mut().find(|adapter| adapter.at == at);

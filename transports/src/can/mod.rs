@@ -193,11 +193,7 @@ impl CanPort for CanSocket {
         }
     }
 
-    fn poll_read(
-        &mut self,
-        task: &mut Context<'_>,
-        _: Instant,
-    ) -> Poll<io::Result<Option<CanFrame>>> {
+    fn poll_read(&mut self, task: &mut Context<'_>) -> Poll<io::Result<Option<CanFrame>>> {
         if let Poll::Ready(error) = self.poll_failure(task) {
             return Poll::Ready(Err(self.explain(error)));
         }

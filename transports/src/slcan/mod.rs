@@ -76,8 +76,6 @@ struct Line {
     counts: bool,
     /// Until it is looked again.
     look: Option<Pin<Box<Sleep>>>,
-    /// When it is asked next how its bus is.
-    question: Option<(Instant, Pin<Box<Sleep>>)>,
 }
 
 impl CanPort for SlcanAdapter {
@@ -122,7 +120,6 @@ impl CanPort for SlcanAdapter {
             timer: None,
             counts: !is_usb_device(&self.config.path),
             look: None,
-            question: None,
         });
         Ok(())
     }
@@ -164,13 +161,8 @@ impl CanPort for SlcanAdapter {
         }
     }
 
-    fn poll_read(
-        &mut self,
-        task: &mut Context<'_>,
-        now: Instant,
-    ) -> Poll<io::Result<Option<CanFrame>>> {
+    fn poll_read(&mut self, task: &mut Context<'_>) -> Poll<io::Result<Option<CanFrame>>> {
         let Some(line) = &mut self.line else { return Poll::Ready(Err(unplugged())) };
-        line.ask(task, now);
         // What the port had no room for a while ago.
         if let Poll::Ready(flushed) = line.poll_flush(task) {
             flushed?;
@@ -181,13 +173,6 @@ impl CanPort for SlcanAdapter {
             }
             ready!(line.poll_read(task))?;
         }
-    }
-
-    fn poll_trouble(&mut self) -> Option<&'static str> {
-        let line = self.line.as_mut()?;
-        let text =
-            "no node on the CAN bus confirms our frames: check its wires, termination and bit rate";
-        line.control.poll_trouble().then_some(text)
     }
 
     fn close(&mut self) {
@@ -264,23 +249,6 @@ impl Line {
             self.control.handle_timeout(due);
         }
         Ok(true)
-    }
-
-    /// Asks the adapter how its bus is, when that is due.
-    fn ask(&mut self, task: &mut Context<'_>, now: Instant) {
-        if let Some(command) = self.control.poll_command(now) {
-            self.say(&command);
-        }
-        let Some(due) = self.control.poll_timeout() else { return };
-        if self.question.as_ref().is_none_or(|(armed, _)| *armed != due) {
-            self.question = Some((due, Box::pin(tokio::time::sleep(due - now))));
-        }
-        if let Some((_, timer)) = &mut self.question
-            && timer.as_mut().poll(task).is_ready()
-        {
-            self.question = None;
-            task.waker().wake_by_ref();
-        }
     }
 
     /// Understands what was read: a frame, or something that is none; nothing when more must come.

@@ -178,24 +178,6 @@ fn two_nodes_with_one_address_are_both_told_and_a_third_is_not() {
 }
 
 #[test]
-fn a_bus_on_which_nobody_confirms_is_reported_once_with_what_to_do_and_stays_open() {
-    let _turn = blastema_doubles::turn();
-    in_real_time(async {
-        let (bus, a, b) = two([1, 2], |_| {}).await;
-
-        bus.trouble(1, 0xa0);
-        let trouble =
-            |report: &TransportReport| matches!(report, TransportReport::NoCarrier { .. });
-        let text = a.reports.wait(trouble).await;
-
-        let TransportReport::NoCarrier { reason } = text else { unreachable!("it was waited for") };
-        assert!(reason.contains("check its wires"), "{reason}");
-        a.send(Can(2), "for it is not closed");
-        b.expect(Can(1), "for it is not closed").await;
-    });
-}
-
-#[test]
 fn an_adapter_with_can_fd_carries_frames_of_64_bytes_and_one_without_says_so() {
     let _turn = blastema_doubles::turn();
     in_real_time(async {

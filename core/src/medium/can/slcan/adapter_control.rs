@@ -2,8 +2,8 @@
 //!
 //! ```text
 //!           a pause               done, or no answer          done, or no answer
-//! Closing ───────────► Setting ────────────────────► OpenedMedium ─────────────────► Open
-//!                         │ refused                     │ refused                 how is the bus?
+//! Closing ───────────► Setting ────────────────────► Opening ─────────────────► Open
+//!                         │ refused                     │ refused
 //!                         └──────────► Failed ◄─────────┘
 //! ```
 //!
@@ -26,16 +26,6 @@ const RETRY_DELAY: Duration = Duration::from_millis(20);
 /// Frames may be so far ahead of the bus: a dozen of them at 500 kbit/s, which every adapter's
 /// memory holds. More would only wait there, before what is more urgent.
 const AHEAD: Duration = Duration::from_millis(3);
-
-/// How often an adapter is asked how its bus is: as often as a hello or two goes by, and some bytes
-/// on the serial line.
-const POLL_TIMEOUT: Duration = Duration::from_millis(100);
-/// One that leaves so many questions unanswered is asked no more.
-const QUESTIONS: u8 = 3;
-/// What the answer has, of CAN232: too many of its frames were not confirmed, and the last
-/// was not.
-const ERROR_PASSIVE: u8 = 1 << 5;
-const BUS_ERROR: u8 = 1 << 7;
 
 /// Why an adapter is of no use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -61,10 +51,6 @@ pub struct AdapterControl {
     /// Where the bus has CAN FD.
     data_rate: Option<DataRate>,
     state: State,
-    /// When it is asked next how the bus is, while it answers.
-    question: Option<Instant>,
-    unanswered: u8,
-    alarm: Alarm,
     /// When all that was sent will be on the bus.
     free: Instant,
     refused: u64,
@@ -91,15 +77,6 @@ enum SetupStep {
     Open,
 }
 
-/// What the adapter says of its bus.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Alarm {
-    Quiet,
-    /// It is to be told.
-    New,
-    Reported,
-}
-
 impl AdapterControl {
     /// An adapter that was just found, on a bus of this rate, and of that rate for the data of CAN
     /// FD.
@@ -108,21 +85,9 @@ impl AdapterControl {
             rate,
             data_rate,
             state: State::Saying(SetupStep::Close),
-            question: Some(Instant::ORIGIN),
-            unanswered: 0,
-            alarm: Alarm::Quiet,
             free: Instant::ORIGIN,
             refused: 0,
         }
-    }
-
-    /// Whether the adapter has found that no node confirms its frames any more; it is told once.
-    pub fn poll_trouble(&mut self) -> bool {
-        let is_new = self.alarm == Alarm::New;
-        if is_new {
-            self.alarm = Alarm::Reported;
-        }
-        is_new
     }
 
     /// How many frames it refused.
@@ -145,11 +110,7 @@ impl AdapterControl {
 
     /// The command that is to be written next, if any; it counts as written.
     pub fn poll_command(&mut self, now: Instant) -> Option<AdapterCommand> {
-        let step = match self.state {
-            State::Saying(step) => step,
-            State::Open => return self.ask(now),
-            State::Waiting { .. } | State::Failed(_) => return None,
-        };
+        let State::Saying(step) = self.state else { return None };
         let timeout = if step == SetupStep::Close { RETRY_DELAY } else { REPLY_TIMEOUT };
         self.state = State::Waiting { step, until: now + timeout };
         Some(match step {
@@ -163,40 +124,12 @@ impl AdapterControl {
         })
     }
 
-    fn ask(&mut self, now: Instant) -> Option<AdapterCommand> {
-        let due = self.question?;
-        if due > now {
-            return None;
-        }
-        // One that answers nothing need not be asked for ever.
-        self.question = (self.unanswered < QUESTIONS).then(|| now + POLL_TIMEOUT);
-        self.unanswered = self.unanswered.saturating_add(1);
-        self.question.map(|_| AdapterCommand::Status)
-    }
-
-    fn handle_status(&mut self, flags: &str) {
-        let Ok(flags) = u8::from_str_radix(flags, 16) else { return };
-        self.unanswered = 0;
-        let silent = flags & ERROR_PASSIVE != 0 && flags & BUS_ERROR != 0;
-        self.alarm = match (silent, self.alarm) {
-            (false, _) => Alarm::Quiet,
-            (true, Alarm::Quiet) => Alarm::New,
-            (true, known) => known,
-        };
-    }
-
     /// The adapter has said something other than a frame.
     pub fn handle_reply(&mut self, reply: &AdapterReply) {
         let refused = match reply {
             AdapterReply::Refused => true,
             AdapterReply::Done | AdapterReply::Sent => false,
-            AdapterReply::Answer(text) => {
-                if let (State::Open, Some(flags)) = (self.state, text.strip_prefix('F')) {
-                    self.handle_status(flags);
-                }
-                return;
-            }
-            AdapterReply::Frame(_) => return,
+            AdapterReply::Answer | AdapterReply::Frame(_) => return,
         };
         match self.state {
             State::Waiting { step: SetupStep::Close, .. } => {}
@@ -210,8 +143,6 @@ impl AdapterControl {
                     _ => self.after(step),
                 };
             }
-            // It does not know the question, or has refused a frame meanwhile: it is asked no more.
-            State::Open if refused && self.unanswered > 0 => self.question = None,
             State::Open => self.refused += u64::from(refused),
             State::Saying(_) | State::Failed(_) => {}
         }
@@ -240,12 +171,11 @@ impl AdapterControl {
         }
     }
 
-    /// When the adapter's answer is given up, or it is to be asked.
+    /// When the adapter's answer is given up.
     pub fn poll_timeout(&self) -> Option<Instant> {
         match self.state {
             State::Waiting { until, .. } => Some(until),
-            State::Open => self.question,
-            State::Saying(_) | State::Failed(_) => None,
+            State::Saying(_) | State::Open | State::Failed(_) => None,
         }
     }
 
@@ -336,7 +266,7 @@ mod tests {
         let expected = [close, pause, set, rate_refused, join, open_refused, open, failed];
         check(|control| control.handle_reply(&AdapterReply::Refused), expected);
         let frame = CanFrame::remote(CanId::standard(1).unwrap(), 0).unwrap();
-        for reply in [AdapterReply::Frame(frame), AdapterReply::Answer("V1013".into())] {
+        for reply in [AdapterReply::Frame(frame), AdapterReply::Answer] {
             check(|control| control.handle_reply(&reply), before());
         }
     }
@@ -348,10 +278,7 @@ mod tests {
         let expected = [close, set, set, join, join, open, open, failed];
         check(|control| control.handle_timeout(at(200)), expected);
         for (name, control) in all() {
-            let due = match name {
-                "open" => Some(Instant::ORIGIN),
-                _ => name.starts_with("waiting").then_some(at(200)),
-            };
+            let due = name.starts_with("waiting").then_some(at(200));
             assert_eq!(control.poll_timeout(), due, "{name}");
         }
     }
@@ -410,54 +337,5 @@ mod tests {
             assert_eq!(sent[2], AdapterCommand::DataRate(DataRate::FiveMegabit));
             assert_eq!(control.state, expected);
         }
-    }
-
-    fn open() -> AdapterControl {
-        let (_, control) = all().into_iter().nth(6).unwrap();
-        control
-    }
-
-    fn status(control: &mut AdapterControl, flags: &str) {
-        control.handle_reply(&AdapterReply::Answer(format!("F{flags}")));
-    }
-
-    #[test]
-    fn a_bus_on_which_nobody_confirms_is_told_once_until_it_is_well_again() {
-        let mut control = open();
-        let check = |control: &mut AdapterControl, flags: &str, is_reported: bool| {
-            status(control, flags);
-            assert_eq!(control.poll_trouble(), is_reported, "{flags}");
-        };
-        check(&mut control, "00", false);
-        check(&mut control, "20", false);
-        check(&mut control, "80", false);
-        check(&mut control, "A4", true);
-        check(&mut control, "A0", false);
-        check(&mut control, "zz", false);
-        check(&mut control, "04", false);
-        check(&mut control, "a0", true);
-    }
-
-    #[test]
-    fn an_adapter_is_asked_ten_times_a_second_while_it_answers() {
-        let asked = |answer: Option<&AdapterReply>| {
-            let mut control = open();
-            let mut asked = 0;
-            for millis in 0..1_000 {
-                if control.poll_timeout().is_some_and(|due| due <= at(millis)) {
-                    let command = control.poll_command(at(millis));
-                    asked += command
-                        .iter()
-                        .filter(|command| **command == AdapterCommand::Status)
-                        .count();
-                    answer.into_iter().for_each(|answer| control.handle_reply(answer));
-                }
-            }
-            assert_eq!(control.refused(), 0);
-            asked
-        };
-        assert_eq!(asked(Some(&AdapterReply::Answer("F00".into()))), 10);
-        assert_eq!(asked(Some(&AdapterReply::Refused)), 1);
-        assert_eq!(asked(None), 3);
     }
 }

@@ -78,8 +78,6 @@ pub enum AdapterCommand {
     BitRate(BitRate),
     /// This is its data rate for CAN FD. Only while closed.
     DataRate(DataRate),
-    /// How are you?
-    Status,
     /// Sends this frame on the bus.
     Send(CanFrame),
 }
@@ -95,8 +93,8 @@ pub enum AdapterReply {
     Sent,
     /// The last command, or frame, is refused.
     Refused,
-    /// An answer to a question: `V1013`, `NA123`, `F00`.
-    Answer(String),
+    /// An answer to a question, which this node does not ask: `V1013`, `NA123`, `F00`.
+    Answer,
 }
 
 /// Why a line says nothing.
@@ -125,7 +123,6 @@ impl AdapterCommand {
             AdapterCommand::BitRate(BitRate(number)) => line.extend([b'S', b'0' + number]),
             AdapterCommand::DataRate(DataRate::TwoMegabit) => line.extend(b"Y2"),
             AdapterCommand::DataRate(DataRate::FiveMegabit) => line.extend(b"Y5"),
-            AdapterCommand::Status => line.push(b'F'),
             AdapterCommand::Send(frame) => put_frame(frame, line),
         }
         line.push(END);
@@ -141,7 +138,6 @@ impl AdapterCommand {
         match first {
             b'C' => none(AdapterCommand::Close),
             b'O' => none(AdapterCommand::Open),
-            b'F' => none(AdapterCommand::Status),
             b'S' => match rest {
                 [number @ b'0'..=b'8'] => Ok(AdapterCommand::BitRate(BitRate(number - b'0'))),
                 [_] => Err(ReplyError::Number),
@@ -169,7 +165,7 @@ impl AdapterReply {
             AdapterReply::Done => {}
             AdapterReply::Sent => line.push(b'z'),
             AdapterReply::Refused => return line.push(REFUSAL),
-            AdapterReply::Answer(text) => line.extend(text.bytes()),
+            AdapterReply::Answer => line.push(b'V'),
         }
         line.push(END);
     }
@@ -183,7 +179,7 @@ impl AdapterReply {
             [] => Ok(AdapterReply::Done),
             b"z" | b"Z" => Ok(AdapterReply::Sent),
             [b'V' | b'v' | b'N' | b'F', rest @ ..] if rest.iter().all(u8::is_ascii_graphic) => {
-                Ok(AdapterReply::Answer(line.iter().map(|byte| char::from(*byte)).collect()))
+                Ok(AdapterReply::Answer)
             }
             _ => {
                 let (frame, rest) = read_frame(line)?;
