@@ -15,7 +15,7 @@
 use crate::endpoint::CanNodeConfig;
 use crate::frame_medium::{FrameMedium, MediumEvent, OpenedMedium, QueueLimits, SendResult};
 use blastema_contract::transport::MediumAddress;
-use blastema_core::medium::can::isotp::{EnqueueError, IsoTpErrorCounts, SeparationTime};
+use blastema_core::medium::can::isotp::{EnqueueError, SeparationTime};
 use blastema_core::medium::can::{
     Addressing, BusAddress, CanFrame, Format, IsoTp, IsoTpConfig, IsoTpOutput, bits_on_bus,
 };
@@ -93,8 +93,6 @@ pub struct CanNode<P> {
     machine: Option<IsoTp>,
     /// When it was reported last that another node sends under this node's address.
     clash_reported_at: Option<Instant>,
-    /// What the machine had refused when it was last looked at.
-    refusals: IsoTpErrorCounts,
     /// A frame that the bus has not taken yet.
     ready: Option<CanFrame>,
     arrivals: VecDeque<MediumEvent>,
@@ -115,7 +113,6 @@ impl<P: CanPort> CanNode<P> {
             now,
             machine: None,
             clash_reported_at: None,
-            refusals: IsoTpErrorCounts::default(),
             ready: None,
             arrivals: VecDeque::new(),
             timer: None,
@@ -162,15 +159,12 @@ impl<P: CanPort> CanNode<P> {
                 }
                 IsoTpOutput::AddressTaken => {
                     address_taken = true;
-                    continue;
+                    MediumEvent::Refused
                 }
+                IsoTpOutput::Refused => MediumEvent::Refused,
             };
             self.arrivals.push_back(arrival);
         }
-        let IsoTpErrorCounts { malformed, unasked, forged, .. } = machine.refusals();
-        let before = std::mem::replace(&mut self.refusals, machine.refusals());
-        let more = malformed + unasked + forged - before.malformed - before.unasked - before.forged;
-        self.arrivals.extend((0..more).map(|_| MediumEvent::Refused));
         if address_taken {
             self.report_clash();
         }
@@ -359,7 +353,6 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
     fn close(&mut self) {
         self.port.close();
         self.machine = None;
-        self.refusals = IsoTpErrorCounts::default();
         self.ready = None;
         self.arrivals.clear();
         self.timer = None;

@@ -102,22 +102,8 @@ pub enum IsoTpOutput {
     },
     /// Another node sends under this node's address, or the bus hands back what this node sent.
     AddressTaken,
-}
-
-/// What came in and was no use, by its reason.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct IsoTpErrorCounts {
-    /// Frames that ISO 15765-2 does not know.
-    pub malformed: u64,
-    /// Flow-control frames that were not asked for.
-    pub unasked: u64,
-    /// Frames under our own address.
-    pub forged: u64,
-    /// Messages that did not come in, and frames of no message.
-    pub broken: u64,
-    /// Frames that other things on the bus use: no fault at all.
-    pub foreign: u64,
+    /// A frame that ISO 15765-2 does not know, or flow control that was not asked for.
+    Refused,
 }
 
 /// The machine of one node on one bus.
@@ -134,7 +120,6 @@ pub struct IsoTp {
     incoming: SortedMap<(BusAddress, bool), Reception>,
     /// Whose frame went out last.
     last: BusAddress,
-    refusals: IsoTpErrorCounts,
     outputs: VecDeque<IsoTpOutput>,
 }
 
@@ -157,14 +142,8 @@ impl IsoTp {
             outgoing: SortedMap::new(),
             incoming: SortedMap::new(),
             last: BusAddress::ALL,
-            refusals: IsoTpErrorCounts::default(),
             outputs: VecDeque::new(),
         })
-    }
-
-    /// What was refused so far.
-    pub fn refusals(&self) -> IsoTpErrorCounts {
-        self.refusals
     }
 
     /// Takes a message to be sent.
@@ -224,12 +203,9 @@ impl IsoTp {
     /// A frame came from the bus.
     pub fn handle_frame(&mut self, frame: &CanFrame, now: Instant) {
         let parties = self.addressing.parties(frame.id()).filter(|_| !frame.is_remote());
-        let Some(AddressInfo { source, target }) = parties else {
-            self.refusals.foreign += 1;
-            return;
-        };
+        // Others are of other things on the bus: no fault at all.
+        let Some(AddressInfo { source, target }) = parties else { return };
         if source == self.own {
-            self.refusals.forged += 1;
             return self.outputs.push_back(IsoTpOutput::AddressTaken);
         }
         let to_all = target == BusAddress::ALL;
@@ -239,7 +215,7 @@ impl IsoTp {
         match Pdu::decode(frame.data()) {
             Ok(Pdu::Flow(flow)) => self.handle_flow(source, to_all, flow, now),
             Ok(pdu) => self.handle_content(source, to_all, pdu, now),
-            Err(_) => self.refusals.malformed += 1,
+            Err(_) => self.outputs.push_back(IsoTpOutput::Refused),
         }
     }
 
@@ -248,7 +224,7 @@ impl IsoTp {
         let current = lane.and_then(|lane| lane.current.as_mut());
         let asked = current.is_some_and(|current| current.handle_flow(flow, &self.config, now));
         if !asked {
-            self.refusals.unasked += 1;
+            self.outputs.push_back(IsoTpOutput::Refused);
         }
         self.settle(source, now);
     }
@@ -347,7 +323,6 @@ impl IsoTp {
     }
 
     fn fail(&mut self, from: BusAddress, error: ReceptionError) {
-        self.refusals.broken += 1;
         self.outputs.push_back(IsoTpOutput::NotReceived { from, error });
     }
 }
