@@ -194,7 +194,7 @@ impl LinksActor {
         let own = self.specs.get(&number).and_then(|spec| spec.cost);
         let cost = own.map_or(of_medium, u64::from);
         // Others go another way too, where there is one.
-        let wary = if link.is_distrusted() { DISTRUSTED } else { 1 };
+        let wary = if link.is_proving() { DISTRUSTED } else { 1 };
         let percent = wary * u64::from(link.quality().cost_percent);
         u16::try_from(cost * percent / 100).unwrap_or(u16::MAX).max(1)
     }

@@ -9,7 +9,7 @@ use blastema_core::detection::LinkCondition;
 use blastema_core::net::link::PeerRefusal;
 use blastema_core::net::seal::SealRefusals;
 use blastema_core::net::wire::frame::NameHolder;
-use blastema_core::net::{Link, LinkId, Quality, Refusals};
+use blastema_core::net::{LinkId, Quality, Refusals};
 use blastema_core::{FaultKind, Incarnation};
 use std::time::Duration;
 use tracing::{error, warn};

@@ -176,7 +176,7 @@ impl Link {
         if self.carries() {
             self.go_down("the neighbour has restarted", now);
         }
-        self.damping.forget_flaps();
+        self.damping.forget();
         self.neighbour = Some(NeighbourRecord::new(hello, arrivals, now));
     }
 }

@@ -395,7 +395,7 @@ impl Link {
     }
 
     fn go_down(&mut self, reason: &'static str, now: Instant) {
-        self.damping.handle_down(now);
+        self.damping.handle_failure(2 * self.config.up_after_hellos, now);
         if let Some(record) = &mut self.neighbour {
             record.forget_proof();
         }
@@ -451,18 +451,14 @@ impl Link {
     }
 
     fn suspect(&mut self, now: Instant) {
-        self.damping.handle_suspicion(now);
+        self.damping.handle_failure(1, now);
         self.change(LinkState::Suspect, "a hello is late");
     }
-    /// Whether the hellos of a suspect link are received again, and it is not trusted yet because
-    /// of how often they were late.
+
+    /// Whether the hellos of a suspect link are received again, and it carries only what has no
+    /// other path because of how often it has failed.
     pub fn is_proving(&self) -> bool {
         self.damping.proving
-    }
-
-    /// Whether it has failed so often lately that it carries only what has no other path.
-    pub fn is_distrusted(&self) -> bool {
-        self.state == LinkState::Suspect && self.damping.damped
     }
 
     /// Raises the state after a hello, if it has proved enough.
@@ -476,22 +472,21 @@ impl Link {
                 if late.is_some_and(|due| due <= now) {
                     return;
                 }
-                if !self.damping.judge(received, usual) && self.damping.is_calm() {
+                if self.damping.is_over(now) {
                     self.change(LinkState::Up, "the neighbour is heard again");
                 } else if !std::mem::replace(&mut self.damping.proving, true) {
                     self.change(LinkState::Suspect, "heard again, and not yet trusted");
                 }
             }
             LinkState::Connecting | LinkState::Down => {
-                self.damping.expire_flaps(now);
                 if received < usual || record.state_there != HelloState::Ready {
                     return;
                 }
-                if self.damping.judge(received, usual) {
+                if self.damping.is_over(now) {
+                    self.change(LinkState::Up, "the neighbour is heard and hears");
+                } else {
                     self.damping.proving = true;
                     self.change(LinkState::Suspect, "heard again, and not yet trusted");
-                } else {
-                    self.change(LinkState::Up, "the neighbour is heard and hears");
                 }
             }
         }

@@ -310,9 +310,9 @@ fn a_link_that_failed_again_and_again_is_the_last_that_is_used_until_it_has_prov
         assert!(cable.ends.iter().all(Link::carries), "there may be no other way");
     }
 
-    assert!(cable.ends.iter().all(|end| end.is_distrusted() && end.is_proving()));
+    assert!(cable.ends.iter().all(Link::is_proving));
     cable.run_until(cable.now + 300);
-    assert!(cable.ends.iter().all(Link::is_distrusted));
+    assert!(cable.ends.iter().all(Link::is_proving));
     cable.run_until(cable.now + 300);
     assert_eq!(cable.states(), [LinkState::Up; 2]);
 }

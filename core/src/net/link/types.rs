@@ -44,7 +44,7 @@ pub struct LinkConfig {
     /// in some 100,000 hellos.
     pub down_after_percent: u32,
     /// So many hellos bring a new link up, where each that is missing takes back two; a link that
-    /// was down needs twice as many for each time that it went down lately.
+    /// was down needs twice as many, and again twice as many for each further failure.
     pub up_after_hellos: u32,
     /// A link that loses more than this of a thousand hellos is degraded.
     pub degraded_loss_permille: u16,
