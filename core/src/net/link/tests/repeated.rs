@@ -27,7 +27,7 @@ fn downs(cable: &Cable) -> usize {
 /// The right end wants far more proof than the left one.
 fn wary_on_the_right() -> Cable {
     let mut cable = running();
-    (0..3).for_each(|_| cable.ends[1].damping.handle_down(at(cable.now)));
+    cable.ends[1].damping.handle_failure(48, at(cable.now));
     cable.ends[1].handle_loss(at(cable.now));
     cable.run_until(cable.now + 15);
     cable.outputs.clear();
