@@ -47,9 +47,7 @@ use crate::messaging::queue::Pushed;
 use crate::platform::{self, lock, panics};
 use crate::runtime::reports::FaultReports;
 use blastema_core::contract::codec;
-use blastema_core::{
-    DeliveryError, Event, GatherBuffer, Instant, NodeName, ObjectName, PreviousVersion,
-};
+use blastema_core::{DeliveryError, Event, GatherBuffer, Instant, NodeName, ObjectName};
 use hub_queue::HubQueue;
 use std::pin::Pin;
 use std::sync::atomic::Ordering::Relaxed;
@@ -154,8 +152,6 @@ pub(crate) struct Topic<E: Event> {
     /// It is known that its events panic.
     complained: AtomicBool,
     interest: Arc<Mutex<Option<InterestObserver>>>,
-    /// The earlier versions that are understood.
-    former: Vec<PreviousVersion<E>>,
     ended: NodeEnd,
 }
 

@@ -65,11 +65,11 @@ pub(crate) fn described(contract: &PeerIdentity) -> String {
     format!("`{}` version {}", contract.name, contract.version)
 }
 
-/// A forward, and the versions of a contract that its receiver understands. It counts, and gets
-/// events, only where the topic carries one of them.
+/// A forward, and the contract that its receiver listens to. It counts, and gets events, only where
+/// the topic carries this contract.
 struct WantedForward {
     node: NodeName,
-    wanted: Vec<PeerIdentity>,
+    wanted: PeerIdentity,
     forward: RemoteForward,
 }
 
@@ -164,7 +164,6 @@ impl Topics {
             reports: self.reports.clone(),
             complained: AtomicBool::new(false),
             interest: self.interest.clone(),
-            former: E::previous_versions(),
             ended: self.ended.clone(),
         });
         let known = TopicEntry { naming, typed: topic.clone(), erased: topic.clone() };
@@ -260,7 +259,7 @@ impl Topics {
     pub(crate) fn forward(
         &self,
         key: &TopicKey,
-        (node, wanted): (NodeName, Vec<PeerIdentity>),
+        (node, wanted): (NodeName, PeerIdentity),
         forward: RemoteForward,
         before: Option<&ForwardId>,
     ) -> ForwardId {
@@ -288,39 +287,34 @@ impl Topics {
         lock(&self.inner).renew_forwards(topic, None);
     }
 
-    /// Gives an event that came from another node to the listeners here, read by this version of
-    /// its contract, 0 for the present one; it took so long.
+    /// Gives an event that came from another node to the listeners here; it took so long.
     pub(crate) fn inject(
         &self,
         topic: &ObjectName,
-        form: usize,
         event: &Bytes,
         age: Duration,
     ) -> Result<(), DeliveryError> {
         let known = lock(&self.inner).topics.get(topic).map(|known| known.erased.clone());
         match known {
-            Some(known) => known.publish_remote(form, event, age),
+            Some(known) => known.publish_remote(event, age),
             None => Err(DeliveryError::Unknown { name: topic.to_string() }),
         }
     }
 
-    /// What this node listens to on a topic now: the contract that it carries and the earlier
-    /// versions that are understood, or nothing where it has no listener.
+    /// What this node listens to on a topic now: the contract that it carries, or nothing where it
+    /// has no listener.
     ///
     /// Without a listener the topic forgets the event of another node that it keeps. So the caller,
     /// which is what listens to other nodes, must end that, or find a listener the next time: other
     /// nodes send their last event when it listens again.
-    pub(crate) fn settle_interest(&self, topic: &ObjectName) -> Vec<ContractIdentity> {
+    pub(crate) fn settle_interest(&self, topic: &ObjectName) -> Option<ContractIdentity> {
         let known = lock(&self.inner).topics.get(topic).map(|known| known.erased.clone());
-        let listened = known.filter(|known| known.settle_interest());
-        listened.map_or(Vec::new(), |known| known.identities())
+        known.filter(|known| known.settle_interest()).map(|known| known.identity())
     }
 
-    /// The contract that a topic carries, if an object here has named it, and the earlier versions
-    /// of it that are understood.
-    pub(crate) fn identities(&self, topic: &ObjectName) -> Vec<ContractIdentity> {
-        let inner = lock(&self.inner);
-        inner.topics.get(topic).map_or(Vec::new(), |known| known.erased.identities())
+    /// The contract that a topic carries, if an object here has named it.
+    pub(crate) fn identity(&self, topic: &ObjectName) -> Option<ContractIdentity> {
+        lock(&self.inner).topics.get(topic).map(|known| known.erased.identity())
     }
 
     /// Whether an object listens to a topic, here or on another node.
@@ -348,10 +342,10 @@ impl Topics {
     }
 
     /// All topics that have listeners here, and what they carry.
-    pub(crate) fn listened(&self) -> Vec<(TopicKey, Vec<ContractIdentity>)> {
+    pub(crate) fn listened(&self) -> Vec<(TopicKey, ContractIdentity)> {
         let inner = lock(&self.inner);
         let listened = inner.topics.iter().filter(|(_, known)| known.erased.has_listeners());
-        let carried = |known: &TopicEntry| (known.erased.key().clone(), known.erased.identities());
+        let carried = |known: &TopicEntry| (known.erased.key().clone(), known.erased.identity());
         listened.map(|(_, known)| carried(known)).collect()
     }
 
@@ -416,7 +410,7 @@ fn is_listened(forwards: &SortedMap<u64, WantedForward>) -> bool {
 
 impl WantedForward {
     fn is_understood_of(&self, carried: &ContractIdentity) -> bool {
-        self.wanted.iter().any(|wanted| carried.check(wanted).is_ok())
+        carried.check(&self.wanted).is_ok()
     }
 }
 
