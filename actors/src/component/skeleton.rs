@@ -155,9 +155,9 @@ impl<C: Handle<M>, M: Contract> LocalSkeleton<C, M> {
                 let cell = self.cell.clone();
                 let callback = move |result: Result<M::Reply, DeliveryError>| {
                     // The asker is not to wait for its deadline where the reply's code panics.
-                    let encoded = |reply| {
+                    let encoded = |reply: M::Reply| {
                         let what = || format!("to encode a reply to {}", M::NAME);
-                        let encode = || encoded_reply::<M>(reply);
+                        let encode = move || encoded_reply::<M>(&reply);
                         cell.record.guard(what, encode).unwrap_or_else(|panicked| {
                             Err(DeliveryError::ReplyUnsent { reason: panicked })
                         })

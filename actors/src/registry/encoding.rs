@@ -5,7 +5,7 @@ use blastema_core::contract::codec;
 use blastema_core::{Contract, ContractIdentity, DeliveryError, GatherBuffer, PeerIdentity};
 use blastema_macros::Structure;
 
-pub(crate) fn encoded_reply<M: Contract>(reply: M::Reply) -> Result<GatherBuffer, DeliveryError> {
+pub(crate) fn encoded_reply<M: Contract>(reply: &M::Reply) -> Result<GatherBuffer, DeliveryError> {
     codec::encode_parcel_reply::<M>(reply).map_err(|error| match encoding(error, M::MAX_SIZE) {
         DeliveryError::TooLarge { limit } => DeliveryError::ReplyTooLarge { limit },
         other => DeliveryError::ReplyUnsent { reason: other.to_string() },
