@@ -1,6 +1,5 @@
 //! The dead-letter log: undelivered messages, readable from every thread.
 
-use crate::messaging::message_log;
 use crate::platform;
 use crate::platform::lock;
 use blastema_core::delivery::dead_letters::{
@@ -68,7 +67,6 @@ impl DeadLetterLog {
         (reason, many): (DeadReason, u64),
     ) {
         let (object, contract, at) = (object.clone(), contract.into(), platform::now());
-        message_log::lost(&contract, &object, reason, many);
         lock(&self.0).handle_many(DeadLetter { node, object, contract, reason, at }, many);
     }
 

@@ -32,17 +32,14 @@ mod traffic;
 
 pub use publisher::Publisher;
 use subscription::TopicSubscription;
-use table::TopicTable;
 pub(crate) use table::Topics;
 #[cfg(feature = "network")]
 pub(crate) use table::{ForwardId, described};
 use tap::TopicTaps;
 pub use traffic::TopicRow;
 
-use crate::arbiter::heartbeat;
 use crate::component::envelope::{Times, enqueue_time};
 use crate::messaging::dead_letters::DeadLetterLog;
-use crate::messaging::message_log;
 use crate::messaging::queue::Pushed;
 use crate::platform::{self, lock, panics};
 use crate::runtime::reports::FaultReports;
@@ -52,7 +49,7 @@ use hub_queue::HubQueue;
 use std::pin::Pin;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicBool, AtomicU64};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
 use std::time::Duration;
 use tokio::sync::watch;
 use traffic::Traffic;
@@ -146,7 +143,6 @@ pub(crate) struct Topic<E: Event> {
     taps: TopicTaps<E>,
     /// Listeners here, and other nodes that have some.
     matched: watch::Sender<usize>,
-    all: Weak<Mutex<TopicTable>>,
     dead_letters: DeadLetterLog,
     reports: FaultReports,
     /// It is known that its events panic.
@@ -231,26 +227,16 @@ impl<E: Event> Topic<E> {
         taken.map(|()| reserved).map_err(|full| full.full())
     }
 
-    fn publish(
-        &self,
-        event: E,
-        captured_at: Option<Instant>,
-        by: &str,
-        reserved: ReservedForwards,
-    ) {
+    fn publish(&self, event: E, captured_at: Option<Instant>, reserved: ReservedForwards) {
         let posted_at = enqueue_time::<E>();
         // What is still to come was captured now at the latest.
         let captured_at = captured_at.map(|at| at.min(platform::now()));
-        message_log::sent(E::NAME, &self.key.topic, || by.to_owned());
         let times = Times { posted_at, captured_at };
         self.traffic.count();
         if self.traffic.is_to_be_measured() {
             self.measure(&event);
         }
         let is_forwarded = self.is_forwarded.load(Relaxed);
-        if !is_forwarded && self.listeners.load(Relaxed) == 0 && !self.traffic.was_judged() {
-            self.suggest();
-        }
         // A node that begins to listen meanwhile gets this event, and gets it once.
         let latch = self.lock_latch();
         if is_forwarded || latch.is_some() {
@@ -297,23 +283,6 @@ impl<E: Event> Topic<E> {
         if codec::encode(event, &mut bytes).is_ok() {
             self.traffic.measured(bytes.len());
         }
-    }
-
-    /// The topic has no listeners: suggests one of a similar name that has listeners and no
-    /// publisher.
-    #[cold]
-    fn suggest(&self) {
-        if !self.traffic.is_time_to_judge(heartbeat::coarse_now()) {
-            return;
-        }
-        let Some(all) = self.all.upgrade() else { return };
-        let Some(nearest) = lock(&all).lonely_like(&self.key) else { return };
-        tracing::warn!(
-            topic = self.key.topic.as_str(),
-            nearest = &*nearest,
-            "a topic has publishers and no listeners, and one of a similar name has listeners and no \
-             publishers: is the name right?"
-        );
     }
 
     /// To the listeners of this node.
