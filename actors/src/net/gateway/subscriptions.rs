@@ -97,25 +97,17 @@ impl EventForward for PeerForward {
         }
     }
 
-    fn reserve(&self, bytes: usize, waits: bool) -> Reservation {
+    fn reserve(&self, bytes: usize) -> Reservation {
         if self.class.is_none() || self.has_ended() || !self.send_state.takes_messages() {
             return Reservation::Needless;
         }
-        let taken = match waits {
-            true => self.credit.take(bytes),
-            false => self.credit.take_for_event(bytes),
-        };
-        match taken {
+        match self.credit.take(bytes) {
             Some(credit) => {
                 let target = self.target.clone();
                 Reservation::Taken(Box::new(move |event, sent| target.send(event, sent, credit)))
             }
             None => Reservation::Full,
         }
-    }
-
-    fn full(&self) -> DeliveryError {
-        self.send_state.way_full(self.class.unwrap_or(TrafficClass::Event))
     }
 
     fn capacity(&self) -> Pin<Box<dyn Future<Output = ()> + Send>> {
