@@ -1,14 +1,14 @@
 //! The variables of one node's objects: values that any node may read, write and watch.
 //!
 //! A variable belongs to an object and outlives its incarnations; what becomes of the value when an
-//! incarnation ends is the owner's choice. Several are written together or not at all. Values are
-//! bytes here: what they mean is for those who read and write.
+//! incarnation ends is the owner's choice. Values are bytes here: what they mean is for those who
+//! read and write.
 //!
 //! Every change has a revision, which rises over all variables and over the incarnations of the
 //! node, so that "has it changed since?" has an answer whatever happened in between.
 
 use crate::sorted::SortedMap;
-use crate::{DeliveryError, Instant, ObjectName};
+use crate::{Blob, DeliveryError, Instant, ObjectName};
 use bytes::Bytes;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -16,8 +16,6 @@ use std::time::Duration;
 
 /// Watchers that may wait for one node's variables: more than a robot has consoles and planners.
 const WATCHERS_MAX: usize = 4096;
-/// Variables that may be written together: all that one movement sets, several times over.
-const WRITES_MAX: usize = 256;
 /// A watcher that has not asked again for so long has gone.
 const WATCHER_TIMEOUT: Duration = Duration::from_secs(10);
 
@@ -31,8 +29,6 @@ pub enum RestorePolicy {
     Default,
     /// It stays, and is marked as held until it is written again.
     Hold,
-    /// No reader or writer is answered until a user has decided what it is to be.
-    AskFirst,
 }
 
 /// How far a value can be relied on.
@@ -42,16 +38,13 @@ pub enum ValueState {
     Current,
     /// It was written before an incarnation of its owner ended, and not since.
     Held,
-    /// It is the last one that was written before an incarnation of its owner ended; whether it is
-    /// to be used awaits a decision.
-    Undecided,
 }
 
 /// A variable as it stands.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ValueReport {
-    /// The encoded value.
-    pub value: Bytes,
+    /// The encoded value; empty in the answer to a write.
+    pub value: Blob,
     /// The number of the change that gave the value; rises.
     pub revision: u64,
     /// How far it can be relied on.
@@ -62,17 +55,6 @@ pub struct ValueReport {
 
 /// Which variable: its owner, and the name of its contract.
 pub type VariableKey = (ObjectName, String);
-
-/// One value to be written.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ValueWrite {
-    /// The variable to write.
-    pub variable: VariableKey,
-    /// What; `None` leaves the value that was there before a decision on it was awaited.
-    pub value: Option<Bytes>,
-    /// Only if this is still the variable's revision.
-    pub if_revision: Option<u64>,
-}
 
 /// A variable as its owner declares it.
 #[derive(Clone, Debug)]
@@ -194,10 +176,9 @@ impl<F, W> Variables<F, W> {
     /// Reads a variable.
     ///
     /// # Errors
-    /// [`DeliveryError::Unknown`], and [`DeliveryError::Undecided`] while a decision is awaited.
+    /// [`DeliveryError::Unknown`].
     pub fn read(&self, variable: &VariableKey, now: Instant) -> Result<ValueReport, DeliveryError> {
         let entry = self.entries.get(variable).ok_or_else(|| unknown(variable))?;
-        entry.check(variable)?;
         Ok(entry.report(now))
     }
 
@@ -230,36 +211,24 @@ impl<F, W> Variables<F, W> {
         self.watchers.len()
     }
 
-    /// Writes all of these, or none. Where the values decide, a decision must be awaited of each;
-    /// elsewhere of none.
+    /// Writes a value, if `if_revision` is still the variable's revision where it is given. Returns
+    /// the new one.
     ///
     /// # Errors
-    /// The first thing that stands in the way; nothing is written then. Among others
-    /// [`DeliveryError::Changed`] where no decision is awaited, or not any more.
+    /// [`DeliveryError::Unknown`], and [`DeliveryError::Changed`] where it is another.
     pub fn handle_write(
         &mut self,
-        writes: Vec<ValueWrite>,
-        decides: bool,
+        variable: &VariableKey,
+        value: Bytes,
+        if_revision: Option<u64>,
         now: Instant,
     ) -> Result<u64, DeliveryError> {
-        if writes.len() > WRITES_MAX {
-            return Err(DeliveryError::TooLarge { limit: WRITES_MAX });
-        }
-        for ValueWrite { variable, if_revision, .. } in &writes {
-            let entry = self.entries.get(variable).ok_or_else(|| unknown(variable))?;
-            if !decides {
-                entry.check(variable)?;
-            }
-            let is_decided = decides && entry.state != ValueState::Undecided;
-            if is_decided || if_revision.is_some_and(|wanted| wanted != entry.revision) {
-                let variable = shown(variable);
-                return Err(DeliveryError::Changed { variable, revision: entry.revision });
-            }
+        let revision = self.entries.get(variable).ok_or_else(|| unknown(variable))?.revision;
+        if if_revision.is_some_and(|wanted| wanted != revision) {
+            return Err(DeliveryError::Changed { variable: shown(variable), revision });
         }
         self.last_revision += 1;
-        for ValueWrite { variable, value, .. } in writes {
-            self.set(&variable, value, ValueState::Current, now);
-        }
+        self.set(variable, Some(value), ValueState::Current, now);
         Ok(self.last_revision)
     }
 
@@ -277,7 +246,6 @@ impl<F, W> Variables<F, W> {
                 (Some(entry.declaration.default.clone()), ValueState::Current)
             }
             RestorePolicy::Hold => (None, ValueState::Held),
-            RestorePolicy::AskFirst => (None, ValueState::Undecided),
         };
         self.last_revision += 1;
         self.set(key, value, state, now);
@@ -310,16 +278,9 @@ impl<F, W> Variables<F, W> {
 }
 
 impl<F> Entry<F> {
-    fn check(&self, variable: &VariableKey) -> Result<(), DeliveryError> {
-        match self.state {
-            ValueState::Undecided => Err(DeliveryError::Undecided { variable: shown(variable) }),
-            ValueState::Current | ValueState::Held => Ok(()),
-        }
-    }
-
     fn report(&self, now: Instant) -> ValueReport {
         ValueReport {
-            value: self.value.clone(),
+            value: self.value.clone().into(),
             revision: self.revision,
             state: self.state,
             age: now - self.since,
@@ -349,8 +310,8 @@ mod tests {
         Bytes::copy_from_slice(&[byte])
     }
 
-    fn write(variable: &str, byte: u8) -> ValueWrite {
-        ValueWrite { variable: key(variable), value: Some(value(byte)), if_revision: None }
+    fn write(variables: &mut Numbered, name: &str, byte: u8) -> Result<u64, DeliveryError> {
+        variables.handle_write(&key(name), value(byte), None, NOW)
     }
 
     type Numbered = Variables<(), u64>;
@@ -374,20 +335,16 @@ mod tests {
             ("speed", RestorePolicy::Restore),
             ("torque", RestorePolicy::Default),
             ("height", RestorePolicy::Hold),
-            ("target", RestorePolicy::AskFirst),
         ];
         let mut variables = declared(&policies);
-        let all = policies.iter().map(|(name, _)| write(name, 7)).collect();
-        variables.handle_write(all, false, NOW).unwrap();
+        policies.iter().for_each(|(name, _)| drop(write(&mut variables, name, 7).unwrap()));
 
         variables.handle_owner_ended(&ObjectName::new("arm").unwrap(), NOW);
 
         assert_eq!(now_is(&variables, "speed"), Ok((7, ValueState::Current)));
         assert_eq!(now_is(&variables, "torque"), Ok((0, ValueState::Current)));
         assert_eq!(now_is(&variables, "height"), Ok((7, ValueState::Held)));
-        let undecided = Err(DeliveryError::Undecided { variable: "target of arm".into() });
-        assert_eq!(now_is(&variables, "target"), undecided);
-        variables.handle_write(vec![write("height", 8)], false, NOW).unwrap();
+        write(&mut variables, "height", 8).unwrap();
         assert_eq!(now_is(&variables, "height"), Ok((8, ValueState::Current)));
     }
 
@@ -397,10 +354,6 @@ mod tests {
             (RestorePolicy::Restore, Ok((7, ValueState::Current))),
             (RestorePolicy::Default, Ok((0, ValueState::Current))),
             (RestorePolicy::Hold, Ok((7, ValueState::Held))),
-            (
-                RestorePolicy::AskFirst,
-                Err(DeliveryError::Undecided { variable: "it of arm".into() }),
-            ),
         ];
         for (policy, left) in expected {
             let mut variables = Numbered::new(100);
@@ -415,39 +368,16 @@ mod tests {
     }
 
     #[test]
-    fn what_awaits_a_decision_is_not_written_until_somebody_has_decided() {
-        for (choice, left) in [(None, 7), (Some(value(3)), 3)] {
-            let mut variables = declared(&[("target", RestorePolicy::AskFirst)]);
-            variables.handle_write(vec![write("target", 7)], false, NOW).unwrap();
-            variables.handle_owner_ended(&ObjectName::new("arm").unwrap(), NOW);
-
-            let early = variables.handle_write(vec![write("target", 9)], false, NOW);
-            assert!(matches!(early, Err(DeliveryError::Undecided { .. })), "{early:?}");
-            let choice = || vec![ValueWrite { value: choice.clone(), ..write("target", 0) }];
-            variables.handle_write(choice(), true, NOW).unwrap();
-
-            assert_eq!(now_is(&variables, "target"), Ok((left, ValueState::Current)));
-            let again = variables.handle_write(choice(), true, NOW);
-            assert!(matches!(again, Err(DeliveryError::Changed { .. })), "{again:?}");
-        }
-    }
-
-    #[test]
-    fn several_are_written_together_or_not_at_all() {
-        let mut variables =
-            declared(&[("speed", RestorePolicy::Restore), ("torque", RestorePolicy::Restore)]);
+    fn a_value_is_written_only_over_the_revision_that_its_writer_has_seen() {
+        let mut variables = declared(&[("torque", RestorePolicy::Restore)]);
         let before = variables.read(&key("torque"), NOW).unwrap().revision;
+        let mut write =
+            |name, revision| variables.handle_write(&key(name), value(1), Some(revision), NOW);
 
-        let unknown = variables.handle_write(vec![write("speed", 1), write("heat", 1)], false, NOW);
-        assert!(matches!(unknown, Err(DeliveryError::Unknown { .. })));
-        let late = ValueWrite { if_revision: Some(before - 1), ..write("torque", 1) };
-        let changed = variables.handle_write(vec![write("speed", 1), late], false, NOW);
-        assert!(matches!(changed, Err(DeliveryError::Changed { .. })));
-        assert_eq!(now_is(&variables, "speed"), Ok((0, ValueState::Current)));
-
-        let right = ValueWrite { if_revision: Some(before), ..write("torque", 1) };
-        variables.handle_write(vec![write("speed", 1), right], false, NOW).unwrap();
-        assert_eq!(now_is(&variables, "speed"), Ok((1, ValueState::Current)));
+        assert!(matches!(write("heat", before), Err(DeliveryError::Unknown { .. })));
+        assert!(matches!(write("torque", before - 1), Err(DeliveryError::Changed { .. })));
+        write("torque", before).unwrap();
+        assert!(matches!(write("torque", before), Err(DeliveryError::Changed { .. })));
         assert_eq!(now_is(&variables, "torque"), Ok((1, ValueState::Current)));
     }
 
@@ -458,10 +388,10 @@ mod tests {
 
         variables.handle_watch(1, key("speed"), first, NOW);
         assert_eq!(variables.poll_output(), None);
-        let second = variables.handle_write(vec![write("speed", 1)], false, NOW).unwrap();
+        let second = write(&mut variables, "speed", 1).unwrap();
         let (watcher, result) = variables.poll_output().unwrap();
         assert_eq!((watcher, result.unwrap().revision), (1, second));
-        variables.handle_write(vec![write("speed", 2)], false, NOW).unwrap();
+        write(&mut variables, "speed", 2).unwrap();
         assert_eq!(variables.poll_output(), None);
 
         variables.handle_watch(2, key("speed"), second, NOW);
@@ -476,7 +406,7 @@ mod tests {
         variables.handle_watch(2, key("speed"), after, NOW);
 
         variables.retain_watchers(|&watcher| watcher != 1);
-        variables.handle_write(vec![write("speed", 1)], false, NOW).unwrap();
+        write(&mut variables, "speed", 1).unwrap();
 
         assert_eq!(variables.poll_output().unwrap().0, 2);
         assert_eq!(variables.poll_output(), None);

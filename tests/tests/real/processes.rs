@@ -5,8 +5,8 @@
 
 use blastema::prelude::*;
 use blastema::{
-    ActuatorSpec, Hold, Link, Network, RestoreDecision, RestorePolicy, Role, ServiceSpec,
-    StandbyKind, Stateful, Transaction,
+    ActuatorSpec, Hold, Link, Network, RestorePolicy, Role, ServiceSpec, StandbyKind, Stateful,
+    ValueState,
 };
 use blastema_tests::{Process, addresses, answers, found, free_addresses, moves, role, until};
 use std::net::SocketAddr;
@@ -242,16 +242,15 @@ async fn primary(counter: &blastema::ServiceRef<Add>) -> usize {
     }
 }
 
-/// How much came in, and how much is there: always the same, since they are written together.
+/// How much came in, and how much is there: always the same, since they are one value.
 #[derive(Clone, Debug, PartialEq, Variable)]
-#[contract(name = "books/income")]
-struct Income(u64);
+#[contract(name = "books/account")]
+struct Account {
+    income: u64,
+    balance: u64,
+}
 
-#[derive(Clone, Debug, PartialEq, Variable)]
-#[contract(name = "books/balance")]
-struct Balance(u64);
-
-/// What may not be used after a restart until it was decided upon.
+/// What is not used after a restart before it was looked at.
 #[derive(Clone, Debug, PartialEq, Variable)]
 #[contract(name = "books/plan")]
 struct Intention(u64);
@@ -260,13 +259,13 @@ struct Books;
 
 impl Component for Books {
     fn ports(ports: &mut Ports<Self>) {
-        let plan = VariableSpec::new(Intention(0)).after_restart(RestorePolicy::AskFirst);
-        let refused = |balance: &Balance| match balance.0 {
+        let plan = VariableSpec::new(Intention(0)).after_restart(RestorePolicy::Hold);
+        let refused = |account: &Account| match account.balance {
             0..1_000_000 => Ok(()),
             _ => Err("there is not so much".to_owned()),
         };
-        let balance = VariableSpec::new(Balance(0)).check(refused);
-        ports.variable(VariableSpec::new(Income(0))).variable(balance).variable(plan);
+        let account = VariableSpec::new(Account { income: 0, balance: 0 }).check(refused);
+        ports.variable(account).variable(plan);
     }
 }
 
@@ -294,18 +293,18 @@ fn values_that_were_written_are_there_after_the_process_was_killed_in_the_middle
 
     blastema::run(async {
         let node = Node::builder("module0").network(ethernet(&addresses, 0)).start().await.unwrap();
-        let income = node.variable::<Income>("module1:books").unwrap();
-        let balance = node.variable::<Balance>("module1:books").unwrap();
+        let account = node.variable::<Account>("module1:books").unwrap();
         let plan = node.variable::<Intention>("module1:books").unwrap();
         let mut acknowledged = 0;
         for round in 0..8 {
             let left = loop {
-                match income.read().await {
-                    Ok(reading) => break reading.value.0,
+                match account.read().await {
+                    Ok(reading) => break reading.value,
                     Err(_) => tokio::task::yield_now().await,
                 }
             };
-            assert_eq!(balance.read().await.unwrap().value.0, left, "round {round}: together");
+            assert_eq!(left.income, left.balance, "round {round}: together");
+            let left = left.income;
             assert!(left == acknowledged || left == acknowledged + 1, "round {round}: {left}");
             if round == 0 {
                 let second = Node::builder("module2").keep_variables(&file).start().await;
@@ -313,17 +312,12 @@ fn values_that_were_written_are_there_after_the_process_was_killed_in_the_middle
                 assert!(refused.contains("another process uses the file (node module1, process "));
             }
             if round > 0 {
-                let undecided = plan.read().await;
-                assert!(matches!(undecided, Err(DeliveryError::Undecided { .. })), "{undecided:?}");
-                plan.decide(RestoreDecision::Restore).await.unwrap();
-                assert_eq!(plan.read().await.unwrap().value, Intention(7));
+                let held = plan.read().await.unwrap();
+                assert_eq!((held.value, held.state), (Intention(7), ValueState::Held));
             }
             plan.write(Intention(7)).await.unwrap();
             acknowledged = left;
-            let write = async |sum: u64| {
-                let both = Transaction::new().write(&income, Income(sum));
-                both.write(&balance, Balance(sum)).commit().await
-            };
+            let write = async |sum: u64| account.write(Account { income: sum, balance: sum }).await;
             for _ in 0..=round {
                 // Whatever became of an attempt, the next one writes the same.
                 until(async || write(acknowledged + 1).await.is_ok(), "the keeper lives").await;
@@ -357,8 +351,8 @@ fn a_file_of_variables_that_is_damaged_is_set_aside_and_a_fault() {
 
     blastema::run(async {
         let node = books(1, &addresses, &file).start().await.unwrap();
-        let income = node.variable::<Income>("books").unwrap();
-        income.write(Income(5)).await.unwrap();
+        let account = node.variable::<Account>("books").unwrap();
+        account.write(Account { income: 5, balance: 5 }).await.unwrap();
         node.shutdown().await;
         drop(node);
         let mut bytes = std::fs::read(&path).unwrap();
@@ -367,8 +361,8 @@ fn a_file_of_variables_that_is_damaged_is_set_aside_and_a_fault() {
         std::fs::write(&path, bytes).unwrap();
 
         let node = books(1, &addresses, &file).start().await.unwrap();
-        let income = node.variable::<Income>("books").unwrap();
-        assert_eq!(income.read().await.unwrap().value, Income(0), "not what may be wrong");
+        let account = node.variable::<Account>("books").unwrap();
+        assert_eq!(account.read().await.unwrap().value.income, 0, "not what may be wrong");
         let told = async || {
             let mut entries = node.faults().await.entries.into_iter();
             let told = entries.find(|entry| entry.fault.detail.contains("set aside"))?;
@@ -377,7 +371,7 @@ fn a_file_of_variables_that_is_damaged_is_set_aside_and_a_fault() {
         let detail = found(told, "the fault list tells").await;
         assert!(detail.contains("checksum"), "{detail}");
         assert!(folder.path().join("variables.damaged").exists());
-        income.write(Income(6)).await.unwrap();
+        account.write(Account { income: 6, balance: 6 }).await.unwrap();
         assert!(path.exists(), "and it is kept again");
         node.shutdown().await;
     });
