@@ -136,7 +136,6 @@ mod variable;
 #[cfg(feature = "journal")]
 pub mod journal;
 pub mod manual;
-pub mod plain;
 #[cfg(feature = "trees")]
 pub mod trees;
 
