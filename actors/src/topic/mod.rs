@@ -33,7 +33,6 @@ mod traffic;
 pub use publisher::Publisher;
 use subscription::TopicSubscription;
 pub(crate) use table::Topics;
-#[cfg(feature = "network")]
 pub(crate) use table::{ForwardId, described};
 use tap::TopicTaps;
 pub use traffic::TopicRow;

@@ -307,7 +307,6 @@ impl Topics {
     }
 
     /// Whether an object listens to a topic, here or on another node.
-    #[cfg(feature = "network")]
     pub(crate) fn is_heard(&self, topic: &str) -> bool {
         let Ok(topic) = ObjectName::new(topic) else { return false };
         let inner = lock(&self.inner);
@@ -317,13 +316,11 @@ impl Topics {
     }
 
     /// Tells by another number that a publisher came or went.
-    #[cfg(feature = "network")]
     pub(crate) fn revision(&self) -> u64 {
         self.publishing.load(Relaxed)
     }
 
     /// All topics that have publishers here.
-    #[cfg(feature = "network")]
     pub(crate) fn published(&self) -> Vec<TopicKey> {
         let inner = lock(&self.inner);
         let published =

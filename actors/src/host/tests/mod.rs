@@ -11,7 +11,6 @@ mod lifecycle;
 mod reporting;
 mod serving;
 mod skeleton;
-#[cfg(feature = "network")]
 mod stubs;
 mod subscriptions;
 mod topics;
