@@ -337,7 +337,9 @@ mod tests {
             ("height", RestorePolicy::Hold),
         ];
         let mut variables = declared(&policies);
-        policies.iter().for_each(|(name, _)| drop(write(&mut variables, name, 7).unwrap()));
+        for (name, _) in policies {
+            write(&mut variables, name, 7).unwrap();
+        }
 
         variables.handle_owner_ended(&ObjectName::new("arm").unwrap(), NOW);
 

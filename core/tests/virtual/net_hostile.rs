@@ -151,9 +151,9 @@ fn genuine_of_peer() -> Vec<Bytes> {
     let identity = Bytes::from(ContractIdentity::of::<Note>().full().encode());
     let object = ObjectName::new("arm").unwrap();
     let payload = Bytes::from_static(b"\x05hello");
-    let (topic, identity) = ("news".to_owned(), identity.clone());
+    let topic = "news".to_owned();
     let messages = [
-        PeerMessage::Bind { binding: 1, object, identity },
+        PeerMessage::Bind { binding: 1, object, identity: identity.clone() },
         PeerMessage::Tell {
             binding: 1,
             timestamp_us: 1,
