@@ -128,6 +128,7 @@ mod variable;
 #[cfg(feature = "journal")]
 pub mod journal;
 pub mod manual;
+pub mod plain;
 #[cfg(feature = "trees")]
 pub mod trees;
 

@@ -252,6 +252,13 @@ fn own_medium_carries_requests_over_two_fifos() {
 }
 
 #[test]
+fn plain_actix_lets_a_plain_actor_speak_for_a_component() {
+    let _turn = blastema_doubles::turn();
+    check("plain_actix", &["0.1 N: warned: false", "3.5 N: warned: true"]);
+    check("plain_actix", &["I was touched with 3.5 N"]);
+}
+
+#[test]
 fn parameters_are_read_set_and_refused_with_the_reason() {
     let _turn = blastema_doubles::turn();
     check("parameters", &["begins with 1.5 m/s", "goes on with 0.8 m/s, 3 attempts"]);

@@ -8,6 +8,7 @@ mod fencing;
 mod hang;
 mod incarnations;
 mod lifecycle;
+mod plain_actors;
 mod reporting;
 mod serving;
 mod skeleton;

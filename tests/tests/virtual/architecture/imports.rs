@@ -12,6 +12,7 @@ const LAYERS: &[(&str, &str)] = &[
     ("liveness", "platform arbiter messaging"),
     ("registry", "platform arbiter messaging"),
     ("journal", "platform runtime"),
+    ("plain", "arbiter messaging"),
     ("fault_chain", "platform runtime arbiter messaging registry"),
     ("component", "platform runtime arbiter messaging liveness registry"),
     ("host", "platform runtime arbiter messaging liveness registry component"),

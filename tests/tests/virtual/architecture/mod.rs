@@ -286,13 +286,15 @@ fn with_rules(mut each: impl FnMut(Rule<'_>)) {
         ),
         (
             sources::facade,
-            "hide it behind a type of our own, or make it pub(crate)",
+            "hide it behind a type of our own, make it pub(crate), or move it to \
+             actors/src/plain",
             &[r"
-            actors/src/lib.rs: use actix::{Addr, Recipient as Door};
+            actors/src/lib.rs: mod plain; ¶ use actix::{Addr, Recipient as Door};
                 ¶ pub use actix::Actor; <- ¶ pub fn a(b: Addr<C>) {} <- ¶ fn d(e: Addr<C>) {}
                 ¶ pub struct F { pub g: Door<H>, i: Door<H> } <- ¶ impl F {
                 ¶     pub fn j(&self) -> actix::System { k() } <-
-                ¶     pub fn l(&self) -> u8 { actix::m() } ¶ }"],
+                ¶     pub fn l(&self) -> u8 { actix::m() } ¶ }
+            actors/src/plain.rs: pub fn a() -> actix::Recipient<B> { c() }"],
         ),
         (
             sources::turns,
