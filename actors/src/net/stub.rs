@@ -209,7 +209,7 @@ impl PeerSendState {
         self.has_session() && !self.is_isolated() && !self.ended.load(Relaxed)
     }
 
-    fn way_full(&self, class: TrafficClass) -> DeliveryError {
+    pub(super) fn way_full(&self, class: TrafficClass) -> DeliveryError {
         DeliveryError::WayFull { node: self.node.to_string(), class }
     }
 

@@ -64,8 +64,12 @@ pub(crate) trait EventForward: Send + Sync {
     /// which there is no capacity is lost, and counted: false then.
     fn forward(&self, event: &GatherBuffer, sent: Instant) -> bool;
 
-    /// Takes capacity for an event of so many bytes, for a publisher that waits where there is none.
-    fn reserve(&self, bytes: usize) -> Reservation;
+    /// Takes capacity for an event of so many bytes. A publisher that does not wait where there is
+    /// none leaves half of it to those that do.
+    fn reserve(&self, bytes: usize, waits: bool) -> Reservation;
+
+    /// What a publisher is told for whom there is no capacity.
+    fn full(&self) -> DeliveryError;
 
     /// Completes when there may be capacity. It holds none.
     fn capacity(&self) -> Pin<Box<dyn Future<Output = ()> + Send>>;
@@ -155,9 +159,14 @@ impl ReservedForwards {
     ///
     /// # Errors
     /// One that has none.
-    fn take_all(&mut self, forwards: &[RemoteForward], bytes: usize) -> Result<(), RemoteForward> {
+    fn take_all(
+        &mut self,
+        forwards: &[RemoteForward],
+        bytes: usize,
+        waits: bool,
+    ) -> Result<(), RemoteForward> {
         for forward in forwards {
-            match forward.reserve(bytes) {
+            match forward.reserve(bytes, waits) {
                 Reservation::Taken(capacity) => self.0.push((forward.clone(), capacity)),
                 Reservation::Full => return Err(forward.clone()),
                 Reservation::Needless => {}
@@ -195,11 +204,26 @@ impl<E: Event> Topic<E> {
         // What cannot be encoded is counted when it is published.
         let Ok(parcel) = codec::encode_parcel(event) else { return reserved };
         // Who waits holds nothing: two that want the same, in whatever order, do not block each other.
-        while let Err(full) = reserved.take_all(&forwards, parcel.len()) {
+        while let Err(full) = reserved.take_all(&forwards, parcel.len(), true) {
             reserved.0.clear();
             full.capacity().await;
         }
         reserved
+    }
+
+    /// Takes capacity for this event to each other node that listens.
+    ///
+    /// # Errors
+    /// One of them has none.
+    fn reserve_now(&self, event: &E) -> Result<ReservedForwards, DeliveryError> {
+        let mut reserved = ReservedForwards::default();
+        let forwards = lock(&self.forwards).clone();
+        if forwards.is_empty() {
+            return Ok(reserved);
+        }
+        let Ok(parcel) = codec::encode_parcel(event) else { return Ok(reserved) };
+        let taken = reserved.take_all(&forwards, parcel.len(), false);
+        taken.map(|()| reserved).map_err(|full| full.full())
     }
 
     fn publish(&self, event: E, captured_at: Option<Instant>, reserved: ReservedForwards) {

@@ -59,8 +59,10 @@ impl<E: Event> Publisher<E> {
     /// fenced off, or the incarnation that made this publisher has ended;
     /// [`DeliveryError::SenderIsolated`](crate::DeliveryError::SenderIsolated) if the component is
     /// isolated; [`DeliveryError::ShutDown`](crate::DeliveryError::ShutDown) if the publisher is
-    /// the node's, and the node was shut down. The event comes back, no listener gets it, and it is
-    /// not counted among the dead letters.
+    /// the node's, and the node was shut down;
+    /// [`DeliveryError::WayFull`](crate::DeliveryError::WayFull) if the contract says
+    /// `when_full = "refuse"` and another node that listens has no capacity. The event comes back,
+    /// no listener gets it, and it is not counted among the dead letters.
     #[inline]
     pub fn publish(&self, event: E) -> Result<(), SendError<E>> {
         self.publish_stamped(event, None)
@@ -98,7 +100,14 @@ impl<E: Event> Publisher<E> {
         event: E,
         captured_at: Option<Instant>,
     ) -> Result<(), SendError<E>> {
-        self.publish_reserved(event, captured_at, ReservedForwards::default())
+        let reserved = match E::REFUSE_WHEN_FULL {
+            true => self.announced.topic.reserve_now(&event),
+            false => Ok(ReservedForwards::default()),
+        };
+        match reserved {
+            Ok(reserved) => self.publish_reserved(event, captured_at, reserved),
+            Err(why) => Err(SendError::new(why, event)),
+        }
     }
 
     #[inline]

@@ -58,7 +58,7 @@ fn what_is_known_of_interest_is_true_whatever_the_order_of_its_reports() {
     joins.join().unwrap();
 
     let settled: Vec<bool> =
-        reported.try_iter().map(|key| topics.settle_interest(&key.topic).is_some()).collect();
+        reported.try_iter().map(|key| !topics.settle_interest(&key.topic).is_empty()).collect();
     assert_eq!(settled, [false, false], "there is no listener");
 }
 
@@ -237,13 +237,17 @@ impl EventForward for ToNarrow {
         true
     }
 
-    fn reserve(&self, _: usize) -> Reservation {
+    fn reserve(&self, _: usize, _: bool) -> Reservation {
         let Some(taken) = self.take() else { return Reservation::Full };
         let to = ToNarrow(self.0.clone());
         Reservation::Taken(Box::new(move |event, sent| {
             to.forward(event, sent);
             drop(taken);
         }))
+    }
+
+    fn full(&self) -> DeliveryError {
+        DeliveryError::Full
     }
 
     fn capacity(&self) -> Pin<Box<dyn Future<Output = ()> + Send>> {
@@ -263,7 +267,7 @@ impl EventForward for ToNarrow {
 /// A node begins to listen to a topic of samples.
 fn joins<E: Event>(topics: &Topics, topic: &str, node: &Arc<Narrow>) {
     let key = TopicKey::new(topic, E::NAME).unwrap();
-    let wanted = ContractIdentity::of::<E>().brief();
+    let wanted = vec![ContractIdentity::of::<E>().brief()];
     let far = NodeName::new("far").unwrap();
     topics.forward(&key, (far, wanted), Arc::new(ToNarrow(node.clone())), None);
 }
@@ -296,6 +300,31 @@ fn two_publishers_that_wait_for_the_same_nodes_in_another_order_do_not_block_eac
             assert_eq!(got, [1, 2]);
         }
     });
+}
+
+#[derive(Clone, Debug, crate::Event)]
+#[contract(when_full = "refuse")]
+struct Order(u32);
+
+#[test]
+fn an_event_that_is_to_be_refused_goes_to_no_node_where_one_has_no_capacity() {
+    let letters = DeadLetterLog::default();
+    let topics = Topics::new(letters.clone(), FaultReports::default());
+    let publisher = topics.publisher::<Order>("orders").unwrap();
+    let (left, right) = (Arc::<Narrow>::default(), Arc::<Narrow>::default());
+    [&left, &right].into_iter().for_each(|node| joins::<Order>(&topics, "orders", node));
+    let held = ToNarrow(right.clone()).take();
+
+    let refused = publisher.publish(Order(1)).unwrap_err();
+    assert_eq!((refused.kind, refused.message.0), (DeliveryError::Full, 1));
+    assert!(!left.is_taken.load(Relaxed), "what was taken is given back");
+    drop(held);
+    publisher.publish(Order(2)).unwrap();
+
+    for node in [left, right] {
+        assert_eq!(*lock(&node.got), [2]);
+    }
+    assert_eq!(letters.total(), 0);
 }
 
 #[derive(Clone, crate::Event)]

@@ -19,6 +19,7 @@ const TYPE_KEYS: &[&str] = &[
     "idempotent",
     "latched",
     "bulk",
+    "when_full",
     "reply",
     "crate",
 ];
@@ -86,6 +87,10 @@ impl TypeAttributes {
                 "idempotent" => parsed.flags.push(parse_quote!(IDEMPOTENT)),
                 "latched" => parsed.flags.push(parse_quote!(LATCHED)),
                 "bulk" => parsed.flags.push(parse_quote!(BULK)),
+                "when_full" if parse_when_full(&meta)? => {
+                    parsed.flags.push(parse_quote!(REFUSE_WHEN_FULL));
+                }
+                "when_full" => {}
                 "reply" => parsed.reply = Some(meta.value()?.parse()?),
                 "crate" => parsed.facade = meta.value()?.parse::<LitStr>()?.parse()?,
                 _ => return Err(unknown(&meta, key, TYPE_KEYS)),
@@ -186,6 +191,9 @@ fn misplaced(key: &str, derive: Derive) -> Option<String> {
         ("latched", Derive::Variable) => {
             "a variable gives its value to each reader: remove `latched`"
         }
+        ("when_full", Derive::Request | Derive::Variable) => {
+            "only an event is published: remove `when_full`"
+        }
         ("bulk", Derive::Variable) => {
             "a variable travels in messages of the middleware: remove `bulk`"
         }
@@ -227,6 +235,20 @@ fn parse_delivery(meta: &ParseNestedMeta<'_>, derive: Derive) -> Result<Ident> {
         };
         Error::new(literal.span(), format!("unknown delivery `{text}`: {hint}"))
     })
+}
+
+/// Reads what becomes of an event for which another node has no capacity; answers whether it is
+/// refused.
+fn parse_when_full(meta: &ParseNestedMeta<'_>) -> Result<bool> {
+    let literal: LitStr = meta.value()?.parse()?;
+    match literal.value().as_str() {
+        "drop" => Ok(false),
+        "refuse" => Ok(true),
+        other => {
+            let reason = format!("unknown `when_full` `{other}`: it is one of `drop`, `refuse`");
+            Err(Error::new(literal.span(), reason))
+        }
+    }
 }
 
 /// Reads the name of a contract.

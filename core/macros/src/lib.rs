@@ -47,6 +47,7 @@ pub fn structure(input: TokenStream) -> TokenStream {
 /// | `max_age = "100ms"` | older ones are not delivered but counted | no limit |
 /// | `bulk` | messages are large, and may wait for others on their way to other nodes | they do not |
 /// | `latched` | the last event of a topic is kept, and given to each listener that joins | not kept |
+/// | `when_full = "refuse"` | where a node that listens has no capacity, `publish` fails and no listener gets the event | `drop`: that node loses it, and it is counted |
 ///
 /// ```text
 /// /// One sweep of the laser.

@@ -52,6 +52,10 @@ pub trait Contract: Described + Send + 'static {
 
     /// The last event on a topic is kept, and given to each listener that joins.
     const LATCHED: bool = false;
+
+    /// An event for which another node that listens has no capacity is refused to its publisher, and
+    /// goes to no listener. Otherwise that node gets it not, and it is counted.
+    const REFUSE_WHEN_FULL: bool = false;
 }
 
 /// A contract without an answer, which may have many listeners.

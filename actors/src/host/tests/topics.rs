@@ -237,8 +237,12 @@ impl EventForward for Shipped {
         true
     }
 
-    fn reserve(&self, _: usize) -> Reservation {
+    fn reserve(&self, _: usize, _: bool) -> Reservation {
         Reservation::Needless
+    }
+
+    fn full(&self) -> DeliveryError {
+        DeliveryError::Full
     }
 
     fn capacity(&self) -> Pin<Box<dyn Future<Output = ()> + Send>> {
@@ -255,17 +259,17 @@ fn events_are_shipped_out_once_and_come_in_from_outside() {
         let far = NodeName::new("far").unwrap();
         let shipped = Arc::new(Mutex::new(vec![]));
         let kept = shipped.clone();
-        let wanted = ContractIdentity::of::<Sample>().brief();
+        let wanted = vec![ContractIdentity::of::<Sample>().brief()];
         let forward = topics.forward(&key, (far, wanted), Arc::new(Shipped(kept)), None);
         assert!(matches!(
-            topics.inject(&key.topic, &Bytes::from_static(&[1]), Duration::ZERO),
+            topics.inject(&key.topic, 0, &Bytes::from_static(&[1]), Duration::ZERO),
             Err(DeliveryError::Unknown { .. })
         ));
         let interest = Arc::new(Mutex::new(vec![]));
         let kept = interest.clone();
         let of = crate::topic::Topics::clone(topics);
         topics.on_interest(Arc::new(move |key| {
-            let listens = of.settle_interest(&key.topic).is_some();
+            let listens = !of.settle_interest(&key.topic).is_empty();
             kept.lock().unwrap().push((key.topic.to_string(), listens));
         }));
         let (spec, log) = listener("ear");
@@ -274,12 +278,12 @@ fn events_are_shipped_out_once_and_come_in_from_outside() {
         publish(&stage, "other", 5);
         settle().await;
         let bytes = shipped.lock().unwrap().pop().unwrap();
-        topics.inject(&key.topic, &bytes.into_bytes(), Duration::ZERO).unwrap();
+        topics.inject(&key.topic, 0, &bytes.into_bytes(), Duration::ZERO).unwrap();
         settle().await;
         assert_eq!(logged(&log), [5, 5]);
         assert!(shipped.lock().unwrap().is_empty(), "what came in is not sent out again");
         assert!(matches!(
-            topics.inject(&key.topic, &Bytes::from_static(&[9, 9, 9]), Duration::ZERO),
+            topics.inject(&key.topic, 0, &Bytes::from_static(&[9, 9, 9]), Duration::ZERO),
             Err(DeliveryError::Undecodable { .. })
         ));
 
@@ -287,7 +291,7 @@ fn events_are_shipped_out_once_and_come_in_from_outside() {
         publish(&stage, "other", 6);
         settle().await;
         assert!(shipped.lock().unwrap().is_empty());
-        assert_eq!(topics.identity(&key.topic).unwrap().name, Sample::NAME);
+        assert_eq!(topics.identities(&key.topic)[0].name, Sample::NAME);
         assert_eq!(topics.listened().len(), 2);
 
         child.order(ChildOrder::Stop { again: false });

@@ -97,17 +97,25 @@ impl EventForward for PeerForward {
         }
     }
 
-    fn reserve(&self, bytes: usize) -> Reservation {
+    fn reserve(&self, bytes: usize, waits: bool) -> Reservation {
         if self.class.is_none() || self.has_ended() || !self.send_state.takes_messages() {
             return Reservation::Needless;
         }
-        match self.credit.take(bytes) {
+        let taken = match waits {
+            true => self.credit.take(bytes),
+            false => self.credit.take_for_event(bytes),
+        };
+        match taken {
             Some(credit) => {
                 let target = self.target.clone();
                 Reservation::Taken(Box::new(move |event, sent| target.send(event, sent, credit)))
             }
             None => Reservation::Full,
         }
+    }
+
+    fn full(&self) -> DeliveryError {
+        self.send_state.way_full(self.class.unwrap_or(TrafficClass::Event))
     }
 
     fn capacity(&self) -> Pin<Box<dyn Future<Output = ()> + Send>> {

@@ -20,7 +20,12 @@ struct Stop(u64);
 #[contract(max_size = 1_100_000, bulk)]
 struct Bulk(u64, Vec<u8>);
 
-/// A command that must not wait, as a question.
+/// A step of which none may be lost without its sender's knowing.
+#[derive(Clone, Debug, PartialEq, Event)]
+#[contract(when_full = "refuse")]
+struct Step(u64);
+
+/// The same as a question.
 #[derive(Clone, Debug, PartialEq, Request)]
 #[contract(reply = u64, delivery = "redundant")]
 struct Halt(u64);
@@ -32,6 +37,7 @@ impl Component for Ear {
         ports.accept::<Reading>().accept::<Stop>().accept::<Bulk>().serve::<Halt>();
         let _ = ports.listen::<Reading>();
         let _ = ports.listen::<Stop>();
+        let _ = ports.listen::<Step>();
     }
 }
 
@@ -43,6 +49,12 @@ impl Handle<Reading> for Ear {
 
 impl Handle<Stop> for Ear {
     async fn handle(&mut self, Stop(n): Stop, _: &mut Context<Self>) {
+        self.0.0.lock().unwrap().push(n);
+    }
+}
+
+impl Handle<Step> for Ear {
+    async fn handle(&mut self, Step(n): Step, _: &mut Context<Self>) {
         self.0.0.lock().unwrap().push(n);
     }
 }
@@ -240,6 +252,35 @@ fn a_burst_of_what_is_large_waits_for_room_and_arrives_whole() {
         };
         tokio::join!(burst, advance(5000 * MS));
         assert_eq!(log.take(), (0..40).collect::<Vec<_>>());
+        assert_eq!(left.host.dead_letters.total(), 0);
+    });
+}
+
+#[test]
+fn each_event_that_may_be_refused_arrives_or_comes_back_to_its_publisher() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let (_ear, log) = ear(&right).await;
+        let steps = publisher::<Step>(&left);
+        let (mut published, mut refused) = (vec![], 0);
+        for n in 0..20_000 {
+            match steps.publish(Step(n)) {
+                Ok(()) => published.push(n),
+                Err(error) => {
+                    let class = TrafficClass::Event;
+                    assert_eq!(error.kind, DeliveryError::WayFull { node: "right".into(), class });
+                    assert_eq!(error.message, Step(n));
+                    refused += 1;
+                }
+            }
+            if n % 5_000 == 4_999 {
+                advance(100 * MS).await;
+            }
+        }
+        advance(1000 * MS).await;
+
+        assert!(refused > 1000 && published.len() > 2000, "{refused}, {}", published.len());
+        assert!(log.take() == published, "not all of {} arrived", published.len());
         assert_eq!(left.host.dead_letters.total(), 0);
     });
 }

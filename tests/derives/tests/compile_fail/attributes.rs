@@ -51,6 +51,14 @@ struct RequestWithoutReply;
 #[contract(max_age = "1s")]
 struct VariableWithAge;
 
+#[derive(Clone, Event)]
+#[contract(when_full = "wait")]
+struct WaitingEvent;
+
+#[derive(Request)]
+#[contract(reply = (), when_full = "refuse")]
+struct RefusedRequest;
+
 #[derive(Clone, Variable)]
 #[contract(bulk)]
 struct BulkVariable(f32);
