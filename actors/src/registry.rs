@@ -77,6 +77,11 @@ pub(crate) trait Skeleton: Send + Sync {
     /// Counts a message that was refused for want of room, and is given up.
     fn record_dead_letter(&self, _why: &DeliveryError) {}
 
+    /// The way for a sender with an earlier version of the contract, if it is understood.
+    fn former(&self, _theirs: &PeerIdentity) -> Option<Arc<dyn Skeleton>> {
+        None
+    }
+
     /// Reports a fault that was found at the skeleton, such as a caller with another contract.
     fn declare(&self, kind: FaultKind, detail: String);
 

@@ -38,6 +38,7 @@ pub use contract::gather_buffer::GatherBuffer;
 pub use contract::layout::description::LayoutDescription;
 pub use contract::layout::difference::Difference;
 pub use contract::layout::{Described, Layout};
+pub use contract::previous_version::PreviousVersion;
 pub use contract::{
     Contract, ContractIdentity, Event, PeerIdentity, PeerStructure, Request, Variable,
 };

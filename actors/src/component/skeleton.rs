@@ -10,11 +10,13 @@ use crate::messaging::sink::MessageSink;
 use crate::registry::encoding::{encoded_reply, read_result};
 use crate::registry::{CapacityFuture, ContractPort, MessageMetadata, ReplyTo, Skeleton};
 use blastema_core::contract::codec;
-use blastema_core::{Contract, ContractIdentity, DeliveryError, FaultKind, Lifecycle, MessageId};
+use blastema_core::{
+    Contract, ContractIdentity, DeliveryError, FaultKind, Lifecycle, MessageId, PeerIdentity,
+    PreviousVersion,
+};
 use bytes::Bytes;
 use std::any::Any;
 use std::future::Future;
-use std::marker::PhantomData;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
@@ -22,7 +24,7 @@ use std::time::Duration;
 impl ContractPort {
     /// The port of a component for one contract.
     pub(crate) fn open<C: Handle<M>, M: Contract>(cell: &Arc<ComponentCell<C>>) -> Self {
-        let skeleton = LocalSkeleton::<C, M> { cell: cell.clone(), takes: PhantomData };
+        let skeleton = LocalSkeleton::<C, M> { cell: cell.clone(), former: None };
         ContractPort::new::<M>(Sender(Arc::new(NamedSink(cell.clone()))), Arc::new(skeleton))
     }
 }
@@ -118,14 +120,15 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for NamedSink<C> {
 /// The skeleton of one contract of a component of this node.
 struct LocalSkeleton<C: Handle<M>, M: Contract> {
     cell: Arc<ComponentCell<C>>,
-    takes: PhantomData<fn(M)>,
+    /// The version that the sender holds, where it is an earlier one.
+    former: Option<Arc<PreviousVersion<M>>>,
 }
 
 impl<C: Handle<M>, M: Contract> LocalSkeleton<C, M> {
     /// The way to the component that has the name after this one was removed, where it serves the
     /// same contract.
     fn successor(&self) -> Option<Arc<dyn Skeleton>> {
-        if !self.cell.queue.is_stopped() || !has_successor(&self.cell) {
+        if self.former.is_some() || !self.cell.queue.is_stopped() || !has_successor(&self.cell) {
             return None;
         }
         let CellCore { name, environment, .. } = &self.cell.record;
@@ -152,17 +155,17 @@ impl<C: Handle<M>, M: Contract> LocalSkeleton<C, M> {
                 })
             }
             Some(reply_to) => {
-                let cell = self.cell.clone();
+                let (former, cell) = (self.former.clone(), self.cell.clone());
                 let callback = move |result: Result<M::Reply, DeliveryError>| {
-                    // The asker is not to wait for its deadline where the reply's code panics.
-                    let encoded = |reply: M::Reply| {
-                        let what = || format!("to encode a reply to {}", M::NAME);
-                        let encode = move || encoded_reply::<M>(&reply);
+                    // The asker is not to wait for its deadline where the conversion panics.
+                    let converted = |reply| {
+                        let what = || format!("the conversion of a reply to {}", M::NAME);
+                        let encode = || encoded_reply(reply, former.as_deref());
                         cell.record.guard(what, encode).unwrap_or_else(|panicked| {
                             Err(DeliveryError::ReplyUnsent { reason: panicked })
                         })
                     };
-                    reply_to(result.and_then(encoded));
+                    reply_to(result.and_then(converted));
                 };
                 let answer = Responder::called_back(Box::new(callback), until);
                 if is_first {
@@ -189,7 +192,10 @@ impl<C: Handle<M>, M: Contract> Skeleton for LocalSkeleton<C, M> {
         }
         // To read it runs what is the user's, on the network's thread.
         let what = || format!("to read a message of {}", M::NAME);
-        let read = || codec::decode_shared::<M>(message);
+        let read = || match &self.former {
+            None => codec::decode_shared::<M>(message),
+            Some(former) => former.read(message),
+        };
         match read_result(self.cell.record.guard(what, read)) {
             Ok(message) => self.hand_over(message, metadata, reply_to),
             Err(why) => {
@@ -214,6 +220,13 @@ impl<C: Handle<M>, M: Contract> Skeleton for LocalSkeleton<C, M> {
 
     fn record_dead_letter(&self, why: &DeliveryError) {
         self.cell.record.record_dead_letter(M::NAME, why);
+    }
+
+    fn former(&self, theirs: &PeerIdentity) -> Option<Arc<dyn Skeleton>> {
+        let mut former = M::previous_versions().into_iter();
+        let former = former.find(|former| former.identity().check(theirs).is_ok())?;
+        let (cell, former) = (self.cell.clone(), Some(Arc::new(former)));
+        Some(Arc::new(LocalSkeleton::<C, M> { cell, former }))
     }
 
     fn is_at_work(&self) -> bool {

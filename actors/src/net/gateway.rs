@@ -135,8 +135,8 @@ impl ObjectGateway {
             stack.do_send(TopicInterestChanged { key: key.clone() });
         };
         self.wiring.topics.on_interest(Arc::new(interest));
-        for (key, identity) in self.wiring.topics.listened() {
-            self.exchange.handle_interest(topic(&key), Some(identity));
+        for (key, identities) in self.wiring.topics.listened() {
+            self.exchange.handle_interest(topic(&key), identities);
         }
     }
 
@@ -204,8 +204,8 @@ impl ObjectGateway {
             PeerProtocolOutput::Differs { peer, difference } => {
                 self.differs(peer, &difference);
             }
-            PeerProtocolOutput::Subscribe { peer, subscription, topic, identity } => {
-                self.subscribe(peer, subscription, &topic, identity);
+            PeerProtocolOutput::Subscribe { peer, subscription, topic, identities } => {
+                self.subscribe(peer, subscription, &topic, identities);
             }
             PeerProtocolOutput::AccessDenied { denied } => {
                 self.wiring.registry.access().record(*denied);
@@ -217,7 +217,7 @@ impl ObjectGateway {
             PeerProtocolOutput::Unsubscribe { peer, subscription } => {
                 self.end_forward((peer, subscription));
             }
-            PeerProtocolOutput::Event { peer, topic, age, payload } => {
+            PeerProtocolOutput::Event { peer, topic, form, age, payload } => {
                 if !self.peers.contains_key(&peer) {
                     return;
                 }
@@ -225,7 +225,7 @@ impl ObjectGateway {
                 let topics = &self.wiring.topics;
                 // An event that cannot be read is among the topic's dead letters; a topic that is
                 // not known has no listeners.
-                let given = key.and_then(|key| topics.inject(&key.topic, &payload, age));
+                let given = key.and_then(|key| topics.inject(&key.topic, form, &payload, age));
                 if let Err(why) = given {
                     debug!(topic = %topic.topic, %why, "an event did not arrive");
                 }

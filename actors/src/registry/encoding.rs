@@ -2,11 +2,20 @@
 
 use crate::messaging::reply::Responder;
 use blastema_core::contract::codec;
-use blastema_core::{Contract, ContractIdentity, DeliveryError, GatherBuffer, PeerIdentity};
+use blastema_core::{
+    Contract, ContractIdentity, DeliveryError, GatherBuffer, PeerIdentity, PreviousVersion,
+};
 use blastema_macros::Structure;
 
-pub(crate) fn encoded_reply<M: Contract>(reply: &M::Reply) -> Result<GatherBuffer, DeliveryError> {
-    codec::encode_parcel_reply::<M>(reply).map_err(|error| match encoding(error, M::MAX_SIZE) {
+pub(crate) fn encoded_reply<M: Contract>(
+    reply: M::Reply,
+    former: Option<&PreviousVersion<M>>,
+) -> Result<GatherBuffer, DeliveryError> {
+    let encoded = match former {
+        None => codec::encode_parcel_reply::<M>(&reply),
+        Some(former) => former.answer(reply),
+    };
+    encoded.map_err(|error| match encoding(error, M::MAX_SIZE) {
         DeliveryError::TooLarge { limit } => DeliveryError::ReplyTooLarge { limit },
         other => DeliveryError::ReplyUnsent { reason: other.to_string() },
     })

@@ -76,7 +76,7 @@ impl<M: Contract> Skeleton for ServiceFn<M> {
             (Ok(message), reply_to) => {
                 let callback = move |result: Result<M::Reply, DeliveryError>| {
                     if let Some(reply_to) = reply_to {
-                        reply_to(result.and_then(|reply| encoded_reply::<M>(&reply)));
+                        reply_to(result.and_then(|reply| encoded_reply::<M>(reply, None)));
                     }
                 };
                 let answer = Responder::called_back(Box::new(callback), metadata.until);

@@ -17,10 +17,17 @@ use tracing::error;
 pub(super) trait AnyTopic: Send + Sync {
     fn key(&self) -> &TopicKey;
     fn identity(&self) -> ContractIdentity;
+    /// The present version and the earlier ones that listeners here understand.
+    fn identities(&self) -> Vec<ContractIdentity>;
     /// Sends events to these from now on; to the one that joins, first the event that the topic
     /// keeps.
     fn forward_to(&self, forwards: Arc<[RemoteForward]>, joins: Option<&RemoteForward>);
-    fn publish_remote(&self, event: &Bytes, age: Duration) -> Result<(), DeliveryError>;
+    fn publish_remote(
+        &self,
+        form: usize,
+        event: &Bytes,
+        age: Duration,
+    ) -> Result<(), DeliveryError>;
     fn has_listeners(&self) -> bool;
     /// The same. Without a listener it forgets the event of another node that it keeps. One that
     /// joins is counted under the same lock: it gets the event that is kept, and the other node
@@ -39,6 +46,11 @@ impl<E: Event> AnyTopic for Topic<E> {
 
     fn identity(&self) -> ContractIdentity {
         ContractIdentity::of::<E>()
+    }
+
+    fn identities(&self) -> Vec<ContractIdentity> {
+        let former = self.former.iter().map(|former| former.identity().clone());
+        std::iter::once(self.identity()).chain(former).collect()
     }
 
     fn forward_to(&self, forwards: Arc<[RemoteForward]>, joins: Option<&RemoteForward>) {
@@ -62,9 +74,18 @@ impl<E: Event> AnyTopic for Topic<E> {
         self.traffic.row(&self.key, E::LATCHED, now)
     }
 
-    fn publish_remote(&self, event: &Bytes, age: Duration) -> Result<(), DeliveryError> {
+    fn publish_remote(
+        &self,
+        form: usize,
+        event: &Bytes,
+        age: Duration,
+    ) -> Result<(), DeliveryError> {
+        let former = form.checked_sub(1).and_then(|place| self.former.get(place));
         // To read it runs what is the user's, on the network's thread.
-        let read = panics::caught(|| codec::decode_shared::<E>(event));
+        let read = panics::caught(|| match former {
+            None => codec::decode_shared::<E>(event),
+            Some(former) => former.read(event),
+        });
         if let Err(panicked) = &read {
             error!(
                 topic = self.key.topic.as_str(),

@@ -43,7 +43,9 @@ use crate::messaging::queue::Pushed;
 use crate::platform::{self, lock, panics};
 use crate::runtime::reports::FaultReports;
 use blastema_core::contract::codec;
-use blastema_core::{DeliveryError, Event, GatherBuffer, Instant, NodeName, ObjectName};
+use blastema_core::{
+    DeliveryError, Event, GatherBuffer, Instant, NodeName, ObjectName, PreviousVersion,
+};
 use hub_queue::HubQueue;
 use std::pin::Pin;
 use std::sync::atomic::Ordering::Relaxed;
@@ -147,6 +149,8 @@ pub(crate) struct Topic<E: Event> {
     /// It is known that its events panic.
     complained: AtomicBool,
     interest: Arc<Mutex<Option<InterestObserver>>>,
+    /// The earlier versions that are understood.
+    former: Vec<PreviousVersion<E>>,
     ended: NodeEnd,
 }
 

@@ -63,11 +63,11 @@ pub(crate) fn described(contract: &PeerIdentity) -> String {
     format!("`{}` version {}", contract.name, contract.version)
 }
 
-/// A forward, and the contract that its receiver listens to. It counts, and gets events, only where
-/// the topic carries this contract.
+/// A forward, and the versions of a contract that its receiver understands. It counts, and gets
+/// events, only where the topic carries one of them.
 struct WantedForward {
     node: NodeName,
-    wanted: PeerIdentity,
+    wanted: Vec<PeerIdentity>,
     forward: RemoteForward,
 }
 
@@ -156,6 +156,7 @@ impl Topics {
             reports: self.reports.clone(),
             complained: AtomicBool::new(false),
             interest: self.interest.clone(),
+            former: E::previous_versions(),
             ended: self.ended.clone(),
         });
         let known = TopicEntry { naming, typed: topic.clone(), erased: topic.clone() };
@@ -250,7 +251,7 @@ impl Topics {
     pub(crate) fn forward(
         &self,
         key: &TopicKey,
-        (node, wanted): (NodeName, PeerIdentity),
+        (node, wanted): (NodeName, Vec<PeerIdentity>),
         forward: RemoteForward,
         before: Option<&ForwardId>,
     ) -> ForwardId {
@@ -276,34 +277,39 @@ impl Topics {
         lock(&self.inner).renew_forwards(topic, None);
     }
 
-    /// Gives an event that came from another node to the listeners here; it took so long.
+    /// Gives an event that came from another node to the listeners here, read by this version of
+    /// its contract, 0 for the present one; it took so long.
     pub(crate) fn inject(
         &self,
         topic: &ObjectName,
+        form: usize,
         event: &Bytes,
         age: Duration,
     ) -> Result<(), DeliveryError> {
         let known = lock(&self.inner).topics.get(topic).map(|known| known.erased.clone());
         match known {
-            Some(known) => known.publish_remote(event, age),
+            Some(known) => known.publish_remote(form, event, age),
             None => Err(DeliveryError::Unknown { name: topic.to_string() }),
         }
     }
 
-    /// What this node listens to on a topic now: the contract that it carries, or nothing where it
-    /// has no listener.
+    /// What this node listens to on a topic now: the contract that it carries and the earlier
+    /// versions that are understood, or nothing where it has no listener.
     ///
     /// Without a listener the topic forgets the event of another node that it keeps. So the caller,
     /// which is what listens to other nodes, must end that, or find a listener the next time: other
     /// nodes send their last event when it listens again.
-    pub(crate) fn settle_interest(&self, topic: &ObjectName) -> Option<ContractIdentity> {
+    pub(crate) fn settle_interest(&self, topic: &ObjectName) -> Vec<ContractIdentity> {
         let known = lock(&self.inner).topics.get(topic).map(|known| known.erased.clone());
-        known.filter(|known| known.settle_interest()).map(|known| known.identity())
+        let listened = known.filter(|known| known.settle_interest());
+        listened.map_or(Vec::new(), |known| known.identities())
     }
 
-    /// The contract that a topic carries, if an object here has named it.
-    pub(crate) fn identity(&self, topic: &ObjectName) -> Option<ContractIdentity> {
-        lock(&self.inner).topics.get(topic).map(|known| known.erased.identity())
+    /// The contract that a topic carries, if an object here has named it, and the earlier versions
+    /// of it that are understood.
+    pub(crate) fn identities(&self, topic: &ObjectName) -> Vec<ContractIdentity> {
+        let inner = lock(&self.inner);
+        inner.topics.get(topic).map_or(Vec::new(), |known| known.erased.identities())
     }
 
     /// Whether an object listens to a topic, here or on another node.
@@ -329,10 +335,10 @@ impl Topics {
     }
 
     /// All topics that have listeners here, and what they carry.
-    pub(crate) fn listened(&self) -> Vec<(TopicKey, ContractIdentity)> {
+    pub(crate) fn listened(&self) -> Vec<(TopicKey, Vec<ContractIdentity>)> {
         let inner = lock(&self.inner);
         let listened = inner.topics.iter().filter(|(_, known)| known.erased.has_listeners());
-        let carried = |known: &TopicEntry| (known.erased.key().clone(), known.erased.identity());
+        let carried = |known: &TopicEntry| (known.erased.key().clone(), known.erased.identities());
         listened.map(|(_, known)| carried(known)).collect()
     }
 
@@ -378,7 +384,7 @@ impl TopicTable {
 
 impl WantedForward {
     fn is_understood_of(&self, carried: &ContractIdentity) -> bool {
-        carried.check(&self.wanted).is_ok()
+        self.wanted.iter().any(|wanted| carried.check(wanted).is_ok())
     }
 }
 

@@ -13,6 +13,7 @@ const TEXT_LIMIT: usize = 128;
 const TYPE_KEYS: &[&str] = &[
     "name",
     "version",
+    "from",
     "max_size",
     "max_age",
     "delivery",
@@ -44,6 +45,8 @@ pub(crate) struct TypeAttributes {
     pub(crate) max_size: Option<Expr>,
     pub(crate) max_age_nanos: Option<u64>,
     pub(crate) reply: Option<Type>,
+    /// The version before.
+    pub(crate) from: Option<Type>,
     /// A variant of `Delivery`.
     pub(crate) delivery: Option<Ident>,
     /// The constants of the contract that are true.
@@ -70,6 +73,7 @@ impl TypeAttributes {
             max_size: None,
             max_age_nanos: None,
             reply: None,
+            from: None,
             delivery: None,
             flags: Vec::new(),
             facade: parse_quote!(::blastema),
@@ -83,6 +87,7 @@ impl TypeAttributes {
                 "version" => parsed.version = Some(parse_version(&meta)?),
                 "max_size" => parsed.max_size = Some(meta.value()?.parse()?),
                 "max_age" => parsed.max_age_nanos = Some(parse_nanos(&meta.value()?.parse()?)?),
+                "from" => parsed.from = Some(meta.value()?.parse()?),
                 "delivery" => parsed.delivery = Some(parse_delivery(&meta, derive)?),
                 "idempotent" => parsed.flags.push(parse_quote!(IDEMPOTENT)),
                 "latched" => parsed.flags.push(parse_quote!(LATCHED)),

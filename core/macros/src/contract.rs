@@ -3,8 +3,9 @@
 use crate::attributes::{Derive, TypeAttributes, wrong_name};
 use crate::structure::{described_generics, expand};
 use proc_macro2::TokenStream;
-use quote::quote;
+use quote::{quote, quote_spanned};
 use syn::ext::IdentExt;
+use syn::spanned::Spanned;
 use syn::{DeriveInput, Error, Generics, Result, parse_quote};
 
 pub(crate) fn derive(input: &DeriveInput, derive: Derive) -> Result<TokenStream> {
@@ -50,7 +51,7 @@ fn contract(
              forms share that name and are told apart by their structure",
         ));
     }
-    let TypeAttributes { name, version, max_size, max_age_nanos, delivery, facade, .. } =
+    let TypeAttributes { name, version, max_size, max_age_nanos, from, delivery, facade, .. } =
         attributes;
     let ident = &input.ident;
     let default_name = ident.unraw().to_string();
@@ -87,6 +88,16 @@ fn contract(
         }
     });
     let flags = attributes.flags.iter().map(|flag| quote!(const #flag: bool = true;));
+    let former = from.as_ref().map(|from| {
+        // At the earlier version's name, so that a missing conversion is reported there.
+        let chain =
+            quote_spanned!(from.span()=> #facade::core::PreviousVersion::<Self>::chain::<#from>());
+        quote! {
+            fn previous_versions() -> ::std::vec::Vec<#facade::core::PreviousVersion<Self>> {
+                #chain
+            }
+        }
+    });
     let generics = bounded(input, attributes, &quote!(::std::marker::Send));
     let (impl_generics, type_generics, where_clause) = generics.split_for_impl();
     Ok(quote! {
@@ -99,6 +110,7 @@ fn contract(
             #age
             #delivery
             #(#flags)*
+            #former
         }
     })
 }

@@ -43,6 +43,7 @@ pub fn structure(input: TokenStream) -> TokenStream {
 /// | `name = "laser/scan"` | by which both parties know it | the type's identifier |
 /// | `version = 2` | raised when the meaning changes | 1 |
 /// | `max_size = 4096` | most bytes of an encoded message | 64 KiB |
+/// | `from = PoseV1` | the version before, which a receiver converts by `From`; a request's reply is converted back | none |
 /// | `delivery = "redundant"` | how it travels between nodes: `reliable`, `newest`, `redundant` | `reliable` |
 /// | `max_age = "100ms"` | older ones are not delivered but counted | no limit |
 /// | `bulk` | messages are large, and may wait for others on their way to other nodes | they do not |

@@ -7,9 +7,10 @@ pub mod field;
 pub mod gather_buffer;
 pub mod layout;
 pub mod packed;
+pub mod previous_version;
 
 use crate::sorted::SortedMap;
-use crate::{Delivery, LayoutDescription, ObjectName, TrafficClass, hash};
+use crate::{Delivery, LayoutDescription, ObjectName, PreviousVersion, TrafficClass, hash};
 use codec::DecodeError;
 use layout::difference::{ContractPart, Difference, compare};
 use layout::{Described, Layout, LayoutOf};
@@ -56,6 +57,14 @@ pub trait Contract: Described + Send + 'static {
     /// An event for which another node that listens has no capacity is refused to its publisher, and
     /// goes to no listener. Otherwise that node gets it not, and it is counted.
     const REFUSE_WHEN_FULL: bool = false;
+
+    /// The earlier versions that a receiver still understands, the latest first.
+    fn previous_versions() -> Vec<PreviousVersion<Self>>
+    where
+        Self: Sized,
+    {
+        Vec::new()
+    }
 }
 
 /// A contract without an answer, which may have many listeners.

@@ -111,7 +111,7 @@ pub enum DeliveryError {
     /// The bytes are not a message of this contract, or its reply could not be made or read.
     #[error("undecodable: {reason}")]
     Undecodable {
-        /// What the codec said, or where the receiver's code panicked.
+        /// What the codec said, or where a conversion panicked.
         reason: String,
     },
     /// The receiver's node has ended in order; what is sent to it arrives nowhere until it is back.
@@ -204,8 +204,8 @@ pub enum DeliveryError {
         /// The limit in bytes.
         limit: usize,
     },
-    /// The request took effect, and its reply could not be written for the caller: it cannot be
-    /// encoded, or its own code panicked.
+    /// The request took effect, and its reply could not be written for the caller: its conversion
+    /// to the caller's version panicked, or it cannot be encoded.
     #[error("the request took effect, but its reply cannot be sent: {reason}")]
     ReplyUnsent {
         /// Why the reply cannot be sent.

@@ -151,7 +151,7 @@ fn genuine_of_peer() -> Vec<Bytes> {
     let identity = Bytes::from(ContractIdentity::of::<Note>().full().encode());
     let object = ObjectName::new("arm").unwrap();
     let payload = Bytes::from_static(b"\x05hello");
-    let topic = "news".to_owned();
+    let (topic, identities) = ("news".to_owned(), vec![identity.clone()]);
     let messages = [
         PeerMessage::Bind { binding: 1, object, identity: identity.clone() },
         PeerMessage::Tell {
@@ -161,7 +161,7 @@ fn genuine_of_peer() -> Vec<Bytes> {
             payload: payload.clone().into(),
         },
         PeerMessage::TellRefused { binding: 1, why: DeliveryError::Stopped },
-        PeerMessage::Subscribe { subscription: 1, topic, identity },
+        PeerMessage::Subscribe { subscription: 1, topic, identities },
         PeerMessage::SubscribeRefused { subscription: 1, why: DeliveryError::Stopped },
         PeerMessage::SubscribeAgain { subscription: 1 },
         PeerMessage::Unsubscribe { subscription: 1 },
@@ -339,7 +339,7 @@ proptest! {
         late in 0..3usize,
     ) {
         let mut exchange = PeerProtocol::default();
-        exchange.handle_interest(news(), Some(ContractIdentity::of::<Note>()));
+        exchange.handle_interest(news(), vec![ContractIdentity::of::<Note>()]);
         let peer = NodeId::of(&name("peer"));
         exchange.handle_opened(peer, Incarnation(1), Instant::ORIGIN);
         let mut bound = BTreeSet::new();

@@ -13,7 +13,7 @@ use blastema_core::{Delivery, DeliveryError, FaultKind, Instant, ObjectName, Pee
 use bytes::Bytes;
 use std::sync::Arc;
 use std::task::{Context as Waiting, Waker};
-use tracing::{debug, error, warn};
+use tracing::{debug, error, info, warn};
 
 /// So many that waited are handed over in one turn; then the network has its own.
 const AT_ONCE: usize = 64;
@@ -71,15 +71,24 @@ impl ObjectGateway {
         identity: &PeerIdentity,
     ) {
         let newest = identity.delivery == Delivery::Newest;
+        let mut open = |skeleton| {
+            let bound = PeerBinding { object: object.clone(), skeleton, newest };
+            self.skeletons.insert((peer, binding), bound);
+        };
         let result = match self.wiring.registry.skeleton(object, &identity.name) {
             Err(why) => Err((why, None)),
-            Ok((known, skeleton)) => match known.check(identity) {
-                Ok(()) => {
-                    let bound = PeerBinding { object: object.clone(), skeleton, newest };
-                    self.skeletons.insert((peer, binding), bound);
+            Ok((known, skeleton)) => match (known.check(identity), skeleton.former(identity)) {
+                (Ok(()), _) => {
+                    open(skeleton);
                     Ok(())
                 }
-                Err(difference) => {
+                (Err(_), Some(former)) => {
+                    let (here, there) = (known.version, identity.version);
+                    info!(%object, contract = known.name, here, there, "an earlier version");
+                    open(former);
+                    Ok(())
+                }
+                (Err(difference), None) => {
                     let difference = difference.to_string();
                     if self.peers.get_mut(&peer).is_some_and(|peer| peer.differs(&difference)) {
                         error!(%object, "a peer's contract differs: {difference}");

@@ -169,18 +169,15 @@ impl ObjectGateway {
         let LocalEvent { peer, subscription, losses, event, sent, credit } = message;
         let known = self.forwards.get(&(peer, subscription));
         match known.filter(|known| Arc::ptr_eq(&known.losses, &losses)) {
-            Some(known) => {
-                let by = (subscription, known.class);
-                self.exchange.handle_event(peer, by, event, sent, Some(credit));
-            }
+            Some(known) => self.exchange.handle_event(peer, known.by, event, sent, Some(credit)),
             None => _ = losses.take_late(),
         }
     }
 
     pub(in crate::net) fn handle_interest(&mut self, key: &TopicKey) {
         self.compare_forwards(key);
-        let identity = self.wiring.topics.settle_interest(&key.topic);
-        self.exchange.handle_interest(topic(key), identity);
+        let identities = self.wiring.topics.settle_interest(&key.topic);
+        self.exchange.handle_interest(topic(key), identities);
     }
 
     /// Records what was lost since the last call, and ends what has waited for too long.

@@ -10,8 +10,8 @@ use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::TopicContract;
 use blastema_core::{
-    ContractIdentity, Credit, Delivery, DeliveryError, Difference, GatherBuffer, Instant,
-    PeerIdentity, TrafficClass,
+    ContractIdentity, Credit, Delivery, DeliveryError, GatherBuffer, Instant, PeerIdentity,
+    TrafficClass,
 };
 use std::pin::Pin;
 use std::sync::Arc;
@@ -21,11 +21,9 @@ pub(super) struct Forwarded {
     pub(super) id: ForwardId,
     pub(super) key: TopicKey,
     /// What the peer takes the events for, until an object here names the topic.
-    pub(super) unverified: Option<PeerIdentity>,
-    /// The number that the peer has given to the subscription.
-    pub(super) subscription: u32,
-    /// In which stream they go; `None` if only the newest counts.
-    pub(super) class: Option<TrafficClass>,
+    pub(super) unverified: Option<Vec<PeerIdentity>>,
+    /// Under which number they go, and in which stream; `None` if only the newest counts.
+    pub(super) by: (u32, Option<TrafficClass>),
     pub(super) losses: Arc<UndeliveredEvents>,
 }
 
@@ -130,21 +128,24 @@ impl ObjectGateway {
         peer: NodeId,
         subscription: u32,
         topic: &TopicContract,
-        theirs: PeerIdentity,
+        theirs: Vec<PeerIdentity>,
     ) {
         let key = match TopicKey::new(&topic.topic, &topic.contract) {
             Ok(key) => key,
             Err(why) => return self.exchange.handle_subscribe_refused(peer, subscription, why),
         };
         // Whether it wants the newest only must be known before the first event.
-        let class = event_stream(theirs.delivery, theirs.bulk);
+        let class = theirs.first().and_then(|theirs| event_stream(theirs.delivery, theirs.bulk));
         let wanted = theirs.clone();
-        let (class, unverified) = match self.wiring.topics.identity(&key.topic) {
-            None => (class, Some(theirs)),
-            Some(ours) => match ours.check(&theirs) {
-                Ok(()) => (event_stream(ours.delivery, ours.bulk), None),
+        let (by, unverified) = match self.wiring.topics.identities(&key.topic).first() {
+            None => ((subscription, class), Some(theirs)),
+            Some(ours) => match version_of(ours, &theirs) {
+                Ok(form) => (
+                    (subscription.saturating_add(form), event_stream(ours.delivery, ours.bulk)),
+                    None,
+                ),
                 Err(difference) => {
-                    let difference = self.topic_differs(peer, &key, &ours, &theirs, &difference);
+                    let difference = self.topic_differs(peer, &key, ours, &theirs, &difference);
                     self.differs(peer, &difference);
                     let why = DeliveryError::ContractDiffers { difference };
                     self.exchange.handle_subscribe_refused(peer, subscription, why);
@@ -156,14 +157,13 @@ impl ObjectGateway {
         let (send_state, gateway) = (known.send_state.clone(), self.wiring.stack.events.clone());
         let (losses, node) = (self.losses(known, &key), known.node.clone());
         let target = ForwardTarget { gateway, peer, subscription, losses: losses.clone() };
-        let credit = send_state.credits().sender(class);
-        let forward = PeerForward { target, send_state, class, credit };
+        let credit = send_state.credits().sender(by.1);
+        let forward = PeerForward { target, send_state, class: by.1, credit };
         let forward: RemoteForward = Arc::new(forward);
         self.end_forward((peer, subscription));
         let before = self.past.get(&(peer, key.topic.clone())).map(|past| &past.id);
         let id = self.wiring.topics.forward(&key, (node, wanted), forward, before);
-        let key_of = key.clone();
-        let forwarded = Forwarded { id, key: key_of, unverified, subscription, class, losses };
+        let forwarded = Forwarded { id, key: key.clone(), unverified, by, losses };
         self.forwards.insert((peer, subscription), forwarded);
         // An object may have named the topic just now.
         self.compare_forwards(&key);
@@ -175,23 +175,27 @@ impl ObjectGateway {
         Some(ended)
     }
 
-    /// In which stream events of this topic go to the peers that subscribed when it had no contract
-    /// here yet. It has one once an object here has named it, before its first
+    /// Under which number, and how, events of this topic go to the peers that subscribed when it
+    /// had no contract here yet. It has one once an object here has named it, before its first
     /// event.
     pub(super) fn compare_forwards(&mut self, key: &TopicKey) {
-        let Some(ours) = self.wiring.topics.identity(&key.topic) else { return };
+        let identities = self.wiring.topics.identities(&key.topic);
+        let Some(ours) = identities.first() else { return };
         let mut differing = Vec::new();
         for (forward, known) in &mut self.forwards {
             let same = known.key.topic == key.topic;
             let Some(theirs) = known.unverified.take_if(|_| same) else { continue };
-            match ours.check(&theirs) {
-                Ok(()) => known.class = event_stream(ours.delivery, ours.bulk),
+            match version_of(ours, &theirs) {
+                Ok(form) => {
+                    known.by =
+                        (forward.1.saturating_add(form), event_stream(ours.delivery, ours.bulk))
+                }
                 Err(difference) => differing.push((*forward, theirs, difference)),
             }
         }
         for (forward, theirs, difference) in differing {
             let (peer, subscription) = forward;
-            let difference = self.topic_differs(peer, key, &ours, &theirs, &difference);
+            let difference = self.topic_differs(peer, key, ours, &theirs, &difference);
             self.differs(peer, &difference);
             self.end_forward(forward);
             let why = DeliveryError::ContractDiffers { difference };
@@ -205,17 +209,31 @@ impl ObjectGateway {
         peer: NodeId,
         key: &TopicKey,
         ours: &ContractIdentity,
-        theirs: &PeerIdentity,
-        difference: &Difference,
+        theirs: &[PeerIdentity],
+        difference: &str,
     ) -> String {
         let here = self.wiring.registry.node().map_or("this node".into(), |node| node.to_string());
         let there = self.peers.get(&peer).map_or(peer.to_string(), |peer| peer.node.to_string());
         let carried = described(&ours.brief());
-        let wanted = described(theirs);
+        let wanted = theirs.first().map_or_else(String::new, described);
         format!(
             "the topic \"{}\" carries {carried} on {here}, and {there} listens to {wanted}: \
              {difference}",
             key.topic
         )
+    }
+}
+
+/// Which of a listener's versions is ours, from 0 for its present one.
+///
+/// # Errors
+/// What differs from its present one.
+fn version_of(ours: &ContractIdentity, theirs: &[PeerIdentity]) -> Result<u32, String> {
+    match theirs.iter().position(|theirs| ours.check(theirs).is_ok()) {
+        Some(form) => Ok(form as u32),
+        None => {
+            let present = theirs.first().map(|theirs| ours.check(theirs));
+            Err(present.and_then(Result::err).map_or(String::new(), |d| d.to_string()))
+        }
     }
 }

@@ -208,11 +208,13 @@ impl ObjectGateway {
         }
     }
 
-    /// What counts the events that went to the peer under this number. As long as the peer has not
-    /// told what it listens to, they went in the session before.
+    /// What counts the events that went to the peer under this number: the version of a contract is
+    /// added to that of the subscription, so that it is the nearest below. As long as the peer has
+    /// not told what it listens to, they went in the session before.
     fn losses_under(&self, peer: NodeId, number: u32) -> Option<&UndeliveredEvents> {
-        let mut past = self.past.iter().filter(|((of, _), _)| *of == peer).map(|(_, past)| past);
-        let past = past.find(|past| past.subscription == number);
-        past.or_else(|| self.forwards.get(&(peer, number))).map(|of| &*of.losses)
+        let past = self.past.iter().filter(|((of, _), _)| *of == peer).map(|(_, past)| past);
+        let present = self.forwards.range((peer, 0)..=(peer, number)).next_back();
+        let mut all = past.chain(present.map(|(_, forwarded)| forwarded));
+        all.find(|of| of.by.0 == number).map(|of| &*of.losses)
     }
 }

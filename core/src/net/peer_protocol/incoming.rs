@@ -114,8 +114,8 @@ impl PeerProtocol {
                 }
                 None => self.refusals.unexpected += 1,
             },
-            PeerMessage::Subscribe { subscription, topic, identity } => {
-                self.handle_subscribe(peer, subscription, topic, &identity);
+            PeerMessage::Subscribe { subscription, topic, identities } => {
+                self.handle_subscribe(peer, subscription, topic, &identities);
             }
             PeerMessage::SubscribeRefused {
                 subscription,
@@ -194,19 +194,23 @@ impl PeerProtocol {
         peer: NodeId,
         subscription: u32,
         topic: String,
-        identity: &[u8],
+        identities: &[Bytes],
     ) {
         let session = self.peers.get(&peer).and_then(|peer| peer.session.as_ref());
         if session.is_none_or(|session| session.subscriptions.contains_key(&subscription)) {
             self.refusals.unexpected += 1;
             return;
         }
-        let Some(identity) = self.take_in(peer, identity) else {
+        // A topic carries one contract, in several versions.
+        let of_one = |all: &Vec<PeerIdentity>| {
+            all.first().is_some_and(|first| all.iter().all(|other| other.name == first.name))
+        };
+        let Some(identities) = self.take_in(peer, identities).filter(of_one) else {
             let why = DeliveryError::Undecodable { reason: "the contract's identity".into() };
             self.handle_subscribe_refused(peer, subscription, why);
             return;
         };
-        let topic = TopicContract { topic, contract: identity.name.clone() };
+        let topic = TopicContract { topic, contract: identities[0].name.clone() };
         let verdict = self.admit_subscription(peer, &topic);
         if let Some(session) = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut()) {
             let known = PeerSubscription { topic: topic.clone(), is_refused: verdict.is_err() };
@@ -215,18 +219,19 @@ impl PeerProtocol {
         if let Err(why) = verdict {
             return self.handle_subscribe_refused(peer, subscription, why);
         }
-        let output = PeerProtocolOutput::Subscribe { peer, subscription, topic, identity };
+        let output = PeerProtocolOutput::Subscribe { peer, subscription, topic, identities };
         self.outputs.push_back(output);
     }
 
     /// A peer wants something new of us: within bounds, and with a contract that can be read.
-    fn take_in(&mut self, peer: NodeId, identity: &[u8]) -> Option<PeerIdentity> {
+    fn take_in(&mut self, peer: NodeId, identities: &[Bytes]) -> Option<Vec<PeerIdentity>> {
         let session = self.peers.get(&peer)?.session.as_ref()?;
         if session.bound.len() + session.subscriptions.len() >= BINDINGS_MAX {
             self.refusals.too_large += 1;
             return None;
         }
-        PeerIdentity::decode(identity).ok()
+        let read = identities.iter().map(|identity| PeerIdentity::decode(identity));
+        read.collect::<Result<_, _>>().ok()
     }
 
     fn handle_bind_refused(
@@ -273,15 +278,25 @@ impl PeerProtocol {
         age: Duration,
         payload: Bytes,
     ) {
+        let form = |interest: &RemoteTopic| {
+            let form = usize::try_from(subscription.checked_sub(interest.subscription)?).ok()?;
+            (form < interest.identities.len()).then_some(form)
+        };
         let mut interests = self.interests.iter();
         // As many as the node has topics; they are few.
-        match interests.find(|(_, interest)| interest.subscription == subscription) {
-            Some((topic, _)) => {
+        match interests.find_map(|(topic, interest)| Some((topic, form(interest)?))) {
+            Some((topic, form)) => {
                 let topic = topic.clone();
                 if !self.was_offered(peer, &topic) {
                     return;
                 }
-                self.outputs.push_back(PeerProtocolOutput::Event { peer, topic, age, payload });
+                self.outputs.push_back(PeerProtocolOutput::Event {
+                    peer,
+                    topic,
+                    form,
+                    age,
+                    payload,
+                });
             }
             // It crossed our unsubscribing.
             None => self.refusals.stale += 1,

@@ -27,7 +27,7 @@ use self::reply_cache::ReplyCache;
 use super::session::ordering_key::OrderingKey;
 use super::trust::access::AccessPolicy;
 use super::wire::Refusals;
-use super::wire::message::PeerMessage;
+use super::wire::message::{FORMS_MAX, PeerMessage};
 use super::wire::node_id::NodeId;
 use crate::sorted::SortedMap;
 use crate::{
@@ -72,8 +72,9 @@ pub struct PeerProtocol {
 
 #[derive(Debug)]
 struct RemoteTopic {
+    /// The number of the present version; those before it have the numbers after it.
     subscription: u32,
-    identity: ContractIdentity,
+    identities: Vec<ContractIdentity>,
 }
 
 /// What is going on with a peer.
@@ -306,9 +307,10 @@ impl PeerProtocol {
         }
     }
 
-    /// This node listens to a topic of this contract from now on; or no more, if there is none.
-    pub fn handle_interest(&mut self, topic: TopicContract, identity: Option<ContractIdentity>) {
-        if identity.is_some() && self.interests.contains_key(&topic) {
+    /// This node listens to a topic from now on, by the present version of its contract and the
+    /// earlier ones that it understands; or no more, if there is none.
+    pub fn handle_interest(&mut self, topic: TopicContract, identities: Vec<ContractIdentity>) {
+        if !identities.is_empty() && self.interests.contains_key(&topic) {
             // A topic carries one contract. A second subscription would have the latched event
             // sent again.
             return;
@@ -320,9 +322,12 @@ impl PeerProtocol {
                 self.end_interest(peer, subscription);
             }
         }
-        let Some(identity) = identity else { return };
-        self.next_subscription += 1;
-        let interest = RemoteTopic { subscription: self.next_subscription, identity };
+        if identities.is_empty() {
+            return;
+        }
+        let subscription = self.next_subscription + 1;
+        self.next_subscription += FORMS_MAX as u32;
+        let interest = RemoteTopic { subscription, identities };
         self.interests.insert(topic.clone(), interest);
         let peers: Vec<_> = self.peers.keys().copied().collect();
         peers.into_iter().for_each(|peer| self.offer_interest(peer, &topic));
@@ -473,9 +478,13 @@ fn control(peer: NodeId, message: &PeerMessage) -> PeerProtocolOutput {
 }
 
 fn subscribe(topic: &TopicContract, interest: &RemoteTopic) -> PeerMessage {
-    let RemoteTopic { subscription, identity } = interest;
-    let (topic, identity) = (topic.topic.clone(), identity.full().encode().into());
-    PeerMessage::Subscribe { subscription: *subscription, topic, identity }
+    let RemoteTopic { subscription, identities } = interest;
+    // What differs is told of the present version.
+    let present = identities.first().map(ContractIdentity::full);
+    let former = identities.iter().skip(1).map(ContractIdentity::brief);
+    let all = present.into_iter().chain(former).take(FORMS_MAX);
+    let identities = all.map(|identity| identity.encode().into()).collect();
+    PeerMessage::Subscribe { subscription: *subscription, topic: topic.topic.clone(), identities }
 }
 
 fn refuse(

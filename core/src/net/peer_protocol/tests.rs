@@ -354,7 +354,7 @@ fn a_peer_that_starts_is_announced_when_its_start_is_over_and_in_every_later_ses
 #[test]
 fn an_interest_is_told_now_and_to_every_later_session() {
     let mut pair = Pair::new();
-    pair.ends[0].handle_interest(topic(), Some(count()));
+    pair.ends[0].handle_interest(topic(), vec![count()]);
     for end in 0..2 {
         pair.ends[end].handle_opened(pair.ids[1 - end], Incarnation(1), at(0));
     }
@@ -372,15 +372,16 @@ fn an_interest_is_told_now_and_to_every_later_session() {
     let event = PeerProtocolOutput::Event {
         peer: NodeId::of(&node("right")),
         topic: topic(),
+        form: 0,
         age: Duration::ZERO,
         payload: payload(),
     };
     assert_eq!(pair.take(0), [event]);
 
-    pair.ends[0].handle_interest(topic(), Some(count()));
+    pair.ends[0].handle_interest(topic(), vec![count()]);
     pair.run();
     assert_eq!(pair.take(1), [], "the same interest is no second subscription");
-    pair.ends[0].handle_interest(topic(), None);
+    pair.ends[0].handle_interest(topic(), vec![]);
     pair.run();
     let (peer, subscription) = (*peer, *subscription);
     assert_eq!(pair.take(1), [PeerProtocolOutput::Unsubscribe { peer, subscription }]);

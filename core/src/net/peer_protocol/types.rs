@@ -190,8 +190,9 @@ pub enum PeerProtocolOutput {
         subscription: u32,
         /// The topic that the peer listens to.
         topic: TopicContract,
-        /// The contract as the peer knows it.
-        identity: PeerIdentity,
+        /// The contract as the peer knows it, and then the earlier versions that it understands.
+        /// What is sent by the n-th of them goes under the number and n.
+        identities: Vec<PeerIdentity>,
     },
     /// A peer was refused what it may not do, and told so where it waits for an answer.
     AccessDenied {
@@ -223,6 +224,8 @@ pub enum PeerProtocolOutput {
         peer: NodeId,
         /// The topic of the event.
         topic: TopicContract,
+        /// By which of our versions of the contract it is read: 0 is the present one.
+        form: usize,
         /// How long it has been on its way.
         age: Duration,
         /// The encoded event.

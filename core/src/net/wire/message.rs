@@ -34,6 +34,8 @@ const WHY_MAX: usize = 8 * 1024;
 
 /// The unit of a request's times, in microseconds: shorter numbers, and fine enough for deadlines.
 pub const TICK_US: u64 = 100;
+/// The most versions of one contract that a listener understands.
+pub const FORMS_MAX: usize = 16;
 
 /// What two nodes say to each other.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -103,12 +105,14 @@ pub enum PeerMessage {
     },
     /// Send me what is published with you on this topic.
     Subscribe {
-        /// The number, chosen by the listener; good for this session.
+        /// The number, chosen by the listener; good for this session. Events of the n-th version
+        /// below come under this number and n.
         subscription: u32,
         /// The name of the topic.
         topic: String,
-        /// The contract as the listener knows it, an encoded [`PeerIdentity`](crate::PeerIdentity).
-        identity: Bytes,
+        /// The contract as the listener knows it, and then the earlier versions that it
+        /// understands.
+        identities: Vec<Bytes>,
     },
     /// The contract is another here; nothing will come.
     SubscribeRefused {
@@ -232,10 +236,10 @@ impl PeerMessage {
                 numbered(bytes, TELL_REFUSED, *binding);
                 bytes.sized(&encode_why(why));
             }
-            PeerMessage::Subscribe { subscription, topic, identity } => {
+            PeerMessage::Subscribe { subscription, topic, identities } => {
                 numbered(bytes, SUBSCRIBE, *subscription);
                 bytes.sized(topic.as_bytes());
-                bytes.put_slice(identity);
+                identities.iter().for_each(|identity| bytes.sized(identity));
             }
             PeerMessage::SubscribeRefused { subscription, why } => {
                 numbered(bytes, SUBSCRIBE_REFUSED, *subscription);
@@ -298,7 +302,7 @@ impl PeerMessage {
             SUBSCRIBE => PeerMessage::Subscribe {
                 subscription: number(reader)?,
                 topic: reader.text(TOPIC_MAX, "a topic's name")?,
-                identity: rest(reader, IDENTITY_MAX, "a contract's identity")?,
+                identities: read_identities(reader)?,
             },
             SUBSCRIBE_REFUSED => PeerMessage::SubscribeRefused {
                 subscription: number(reader)?,
@@ -334,6 +338,18 @@ fn number(reader: &mut Reader) -> Result<u32, WireError> {
 fn rest(reader: &mut Reader, limit: usize, what: &'static str) -> Result<Bytes, WireError> {
     let rest = reader.rest();
     if rest.len() > limit { Err(WireError::TooLarge { what }) } else { Ok(rest) }
+}
+
+fn read_identities(reader: &mut Reader) -> Result<Vec<Bytes>, WireError> {
+    let what = "a contract's identity";
+    let mut identities = Vec::new();
+    while !reader.is_empty() {
+        if identities.len() == FORMS_MAX {
+            return Err(WireError::TooLarge { what });
+        }
+        identities.push(reader.sized(IDENTITY_MAX, what)?);
+    }
+    Ok(identities)
 }
 
 /// One byte, 0, where there is none.
@@ -431,9 +447,9 @@ mod tests {
                 PeerMessage::Subscribe {
                     subscription: 3,
                     topic: "t".into(),
-                    identity: payload.clone(),
+                    identities: vec![payload.clone(), payload.clone()],
                 },
-                b"\x07\x03\x01txy",
+                b"\x07\x03\x01t\x02xy\x02xy",
             ),
             (PeerMessage::SubscribeRefused { subscription: 3, why: unknown }, b"\x08\x03\x01\x02"),
             (PeerMessage::SubscribeAgain { subscription: 3 }, b"\x11\x03"),

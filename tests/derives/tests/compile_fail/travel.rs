@@ -16,4 +16,16 @@ struct Unanswered;
 #[contract(idempotent)]
 struct NeverRepeated;
 
+mod versions {
+    use blastema::Event;
+
+    #[derive(Clone, Event)]
+    #[contract(name = "speed")]
+    pub struct SpeedV1(pub u32);
+
+    #[derive(Clone, Event)]
+    #[contract(name = "speed", version = 2, from = SpeedV1)]
+    pub struct Unconverted(pub f32);
+}
+
 fn main() {}

@@ -135,7 +135,7 @@ fn a_peer_says_only_of_what_was_sent_to_it_that_it_was_refused() {
 #[test]
 fn a_peer_that_may_not_listen_is_told_and_gets_no_event() {
     let mut pair = guarded(Role::Node, &["only other may listen on news"]);
-    pair.ends[0].handle_interest(topic(), Some(count()));
+    pair.ends[0].handle_interest(topic(), vec![count()]);
     pair.run();
     assert_eq!(refused(&mut pair), ["listen"]);
     assert!(matches!(&pair.take(0)[..], [output] if is_forbidden(output)));
@@ -144,7 +144,7 @@ fn a_peer_that_may_not_listen_is_told_and_gets_no_event() {
 #[test]
 fn a_peer_that_may_not_publish_is_not_told_who_listens_and_its_events_are_dropped() {
     let mut pair = guarded(Role::Node, &["only other may publish on news"]);
-    pair.ends[1].handle_interest(topic(), Some(count()));
+    pair.ends[1].handle_interest(topic(), vec![count()]);
     pair.run();
     assert_eq!(pair.take(0), [], "it is not told");
     // It guesses the number.
@@ -209,7 +209,7 @@ fn another_policy_counts_at_once_for_bindings_and_the_session_goes_on() {
 #[test]
 fn another_policy_counts_at_once_for_who_listens() {
     let mut pair = guarded(Role::Node, &[]);
-    pair.ends[0].handle_interest(topic(), Some(count()));
+    pair.ends[0].handle_interest(topic(), vec![count()]);
     pair.run();
     let listens = |output: &PeerProtocolOutput| {
         matches!(output, PeerProtocolOutput::Subscribe { subscription: 1, .. })
@@ -236,15 +236,15 @@ fn another_policy_counts_at_once_for_who_listens() {
 #[test]
 fn another_policy_counts_at_once_for_who_publishes() {
     let mut pair = guarded(Role::Node, &[]);
-    pair.ends[1].handle_interest(topic(), Some(count()));
+    pair.ends[1].handle_interest(topic(), vec![count()]);
     pair.run();
     assert!(matches!(&pair.take(0)[..], [PeerProtocolOutput::Subscribe { .. }]));
     pair.ends[1].handle_access(policy(Role::Node, &["only other may publish on news"]));
     pair.run();
     assert!(matches!(&pair.take(0)[..], [PeerProtocolOutput::Unsubscribe { .. }]));
     // It is not told twice that no object listens.
-    pair.ends[1].handle_interest(topic(), None);
-    pair.ends[1].handle_interest(topic(), Some(count()));
+    pair.ends[1].handle_interest(topic(), vec![]);
+    pair.ends[1].handle_interest(topic(), vec![count()]);
     pair.run();
     assert_eq!(pair.take(0), []);
     pair.ends[1].handle_access(policy(Role::Node, &[]));
@@ -267,8 +267,8 @@ fn a_number_in_use_stands_for_what_it_stood_for_first() {
     assert!(matches!(&bound[..], [PeerProtocolOutput::Bind { .. }]), "{bound:?}");
 
     for topic in ["news", "weather"] {
-        let (topic, identity) = (topic.to_owned(), identity.clone());
-        let subscribe = PeerMessage::Subscribe { subscription: 5, topic, identity };
+        let (topic, identities) = (topic.to_owned(), vec![identity.clone()]);
+        let subscribe = PeerMessage::Subscribe { subscription: 5, topic, identities };
         pair.ends[1].handle_message(left, subscribe.encode().into_bytes(), at(0));
     }
     let subscribed = pair.ends[1].poll_output();
@@ -280,9 +280,22 @@ fn a_number_in_use_stands_for_what_it_stood_for_first() {
 }
 
 #[test]
+fn a_subscription_has_one_contract_in_several_versions() {
+    let mut pair = guarded(Role::Node, &["only other may listen on news by count"]);
+    let (first, second) = (ContractIdentity { name: "other", ..count() }, count());
+    let identities = [first, second].map(|identity| identity.full().encode().into());
+    let topic = "news".to_owned();
+    let subscribe =
+        PeerMessage::Subscribe { subscription: 1, topic, identities: identities.into() };
+    pair.ends[1].handle_message(pair.ids[0], subscribe.encode().into_bytes(), at(0));
+    pair.run();
+    assert_eq!(pair.take(1), []);
+}
+
+#[test]
 fn a_peer_is_believed_once_that_it_refuses_a_subscription_and_only_one_that_there_is() {
     let mut pair = guarded(Role::Node, &[]);
-    pair.ends[1].handle_interest(topic(), Some(count()));
+    pair.ends[1].handle_interest(topic(), vec![count()]);
     pair.run();
     let why = DeliveryError::Forbidden {
         node: "right".into(),
@@ -297,13 +310,13 @@ fn a_peer_is_believed_once_that_it_refuses_a_subscription_and_only_one_that_ther
     pair.run();
     assert!(matches!(&pair.take(1)[..], [output] if is_forbidden(output)));
     // Who ends a subscription is not refused it any more.
-    pair.ends[1].handle_interest(topic(), None);
+    pair.ends[1].handle_interest(topic(), vec![]);
     pair.run();
     let allowed = PeerProtocolOutput::SubscriptionsAllowed { peer: pair.ids[0] };
     assert_eq!(pair.take(1), [allowed]);
 
     // Nor is one on whose topic the peer may not publish any more: it is not listened to there.
-    pair.ends[1].handle_interest(topic(), Some(count()));
+    pair.ends[1].handle_interest(topic(), vec![count()]);
     pair.run();
     let told = pair.take(0).pop();
     let Some(PeerProtocolOutput::Subscribe { subscription, .. }) = told else {
