@@ -64,7 +64,7 @@
 //! | describe messages | [`Event`](derive@Event), [`Request`](derive@Request), [`Structure`] |
 //! | run components | [`Node`], [`NodeBuilder`], [`ChildSpec`], [`SupervisorSpec`] |
 //! | send | [`Sender`], [`ActorRef`], [`Publisher`], [`DeliveryError`], [`TrafficClass`], [`Outcome`] |
-//! | share values | [`Variable`](derive@Variable), [`VariableSpec`], [`VariableRef`] |
+//! | share values | [`Variable`](derive@Variable), [`VariableSpec`], [`VariableRef`], [`Transaction`] |
 //! | set a component up | [`Parameters`](derive@Parameters), [`NodeBuilder::parameters_from`] |
 //! | command actuators | [`ActuatorSpec`], [`Commander`] |
 //! | know whether it is still connected | [`Node::condition`], [`Connected`], [`Condition`], [`Heartbeat`] |
@@ -189,7 +189,10 @@ pub use service::{
 pub use settings::DEFAULT_DEADLINE;
 pub use topic::ports::ListenPort;
 pub use topic::{Publisher, TopicRow};
-pub use variable::{Reading, RestorePolicy, ValueState, VariableRef, VariableSpec, VariableWatch};
+pub use variable::{
+    Reading, RestoreDecision, RestorePolicy, Transaction, ValueState, VariableRef, VariableSpec,
+    VariableWatch,
+};
 
 // Conditions.
 pub use blastema_core::connection::ConditionState;

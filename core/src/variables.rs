@@ -1,14 +1,14 @@
 //! The variables of one node's objects: values that any node may read, write and watch.
 //!
 //! A variable belongs to an object and outlives its incarnations; what becomes of the value when an
-//! incarnation ends is the owner's choice. Values are bytes here: what they mean is for those who
-//! read and write.
+//! incarnation ends is the owner's choice. Several are written together or not at all. Values are
+//! bytes here: what they mean is for those who read and write.
 //!
 //! Every change has a revision, which rises over all variables and over the incarnations of the
 //! node, so that "has it changed since?" has an answer whatever happened in between.
 
 use crate::sorted::SortedMap;
-use crate::{Blob, DeliveryError, Instant, ObjectName};
+use crate::{DeliveryError, Instant, ObjectName};
 use bytes::Bytes;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -16,6 +16,8 @@ use std::time::Duration;
 
 /// Watchers that may wait for one node's variables: more than a robot has consoles and planners.
 const WATCHERS_MAX: usize = 4096;
+/// Variables that may be written together: all that one movement sets, several times over.
+const WRITES_MAX: usize = 256;
 /// A watcher that has not asked again for so long has gone.
 const WATCHER_TIMEOUT: Duration = Duration::from_secs(10);
 
@@ -29,6 +31,8 @@ pub enum RestorePolicy {
     Default,
     /// It stays, and is marked as held until it is written again.
     Hold,
+    /// No reader or writer is answered until a user has decided what it is to be.
+    AskFirst,
 }
 
 /// How far a value can be relied on.
@@ -38,13 +42,16 @@ pub enum ValueState {
     Current,
     /// It was written before an incarnation of its owner ended, and not since.
     Held,
+    /// It is the last one that was written before an incarnation of its owner ended; whether it is
+    /// to be used awaits a decision.
+    Undecided,
 }
 
 /// A variable as it stands.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ValueReport {
-    /// The encoded value; empty in the answer to a write.
-    pub value: Blob,
+    /// The encoded value.
+    pub value: Bytes,
     /// The number of the change that gave the value; rises.
     pub revision: u64,
     /// How far it can be relied on.
@@ -55,6 +62,17 @@ pub struct ValueReport {
 
 /// Which variable: its owner, and the name of its contract.
 pub type VariableKey = (ObjectName, String);
+
+/// One value to be written.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ValueWrite {
+    /// The variable to write.
+    pub variable: VariableKey,
+    /// What; `None` leaves the value that was there before a decision on it was awaited.
+    pub value: Option<Bytes>,
+    /// Only if this is still the variable's revision.
+    pub if_revision: Option<u64>,
+}
 
 /// A variable as its owner declares it.
 #[derive(Clone, Debug)]
@@ -176,9 +194,10 @@ impl<F, W> Variables<F, W> {
     /// Reads a variable.
     ///
     /// # Errors
-    /// [`DeliveryError::Unknown`].
+    /// [`DeliveryError::Unknown`], and [`DeliveryError::Undecided`] while a decision is awaited.
     pub fn read(&self, variable: &VariableKey, now: Instant) -> Result<ValueReport, DeliveryError> {
         let entry = self.entries.get(variable).ok_or_else(|| unknown(variable))?;
+        entry.check(variable)?;
         Ok(entry.report(now))
     }
 
@@ -211,24 +230,36 @@ impl<F, W> Variables<F, W> {
         self.watchers.len()
     }
 
-    /// Writes a value, if `if_revision` is still the variable's revision where it is given. Returns
-    /// the new one.
+    /// Writes all of these, or none. Where the values decide, a decision must be awaited of each;
+    /// elsewhere of none.
     ///
     /// # Errors
-    /// [`DeliveryError::Unknown`], and [`DeliveryError::Changed`] where it is another.
+    /// The first thing that stands in the way; nothing is written then. Among others
+    /// [`DeliveryError::Changed`] where no decision is awaited, or not any more.
     pub fn handle_write(
         &mut self,
-        variable: &VariableKey,
-        value: Bytes,
-        if_revision: Option<u64>,
+        writes: Vec<ValueWrite>,
+        decides: bool,
         now: Instant,
     ) -> Result<u64, DeliveryError> {
-        let revision = self.entries.get(variable).ok_or_else(|| unknown(variable))?.revision;
-        if if_revision.is_some_and(|wanted| wanted != revision) {
-            return Err(DeliveryError::Changed { variable: shown(variable), revision });
+        if writes.len() > WRITES_MAX {
+            return Err(DeliveryError::TooLarge { limit: WRITES_MAX });
+        }
+        for ValueWrite { variable, if_revision, .. } in &writes {
+            let entry = self.entries.get(variable).ok_or_else(|| unknown(variable))?;
+            if !decides {
+                entry.check(variable)?;
+            }
+            let is_decided = decides && entry.state != ValueState::Undecided;
+            if is_decided || if_revision.is_some_and(|wanted| wanted != entry.revision) {
+                let variable = shown(variable);
+                return Err(DeliveryError::Changed { variable, revision: entry.revision });
+            }
         }
         self.last_revision += 1;
-        self.set(variable, Some(value), ValueState::Current, now);
+        for ValueWrite { variable, value, .. } in writes {
+            self.set(&variable, value, ValueState::Current, now);
+        }
         Ok(self.last_revision)
     }
 
@@ -246,6 +277,7 @@ impl<F, W> Variables<F, W> {
                 (Some(entry.declaration.default.clone()), ValueState::Current)
             }
             RestorePolicy::Hold => (None, ValueState::Held),
+            RestorePolicy::AskFirst => (None, ValueState::Undecided),
         };
         self.last_revision += 1;
         self.set(key, value, state, now);
@@ -278,9 +310,16 @@ impl<F, W> Variables<F, W> {
 }
 
 impl<F> Entry<F> {
+    fn check(&self, variable: &VariableKey) -> Result<(), DeliveryError> {
+        match self.state {
+            ValueState::Undecided => Err(DeliveryError::Undecided { variable: shown(variable) }),
+            ValueState::Current | ValueState::Held => Ok(()),
+        }
+    }
+
     fn report(&self, now: Instant) -> ValueReport {
         ValueReport {
-            value: self.value.clone().into(),
+            value: self.value.clone(),
             revision: self.revision,
             state: self.state,
             age: now - self.since,
@@ -310,8 +349,8 @@ mod tests {
         Bytes::copy_from_slice(&[byte])
     }
 
-    fn write(variables: &mut Numbered, name: &str, byte: u8) -> Result<u64, DeliveryError> {
-        variables.handle_write(&key(name), value(byte), None, NOW)
+    fn write(variable: &str, byte: u8) -> ValueWrite {
+        ValueWrite { variable: key(variable), value: Some(value(byte)), if_revision: None }
     }
 
     type Numbered = Variables<(), u64>;
@@ -335,18 +374,20 @@ mod tests {
             ("speed", RestorePolicy::Restore),
             ("torque", RestorePolicy::Default),
             ("height", RestorePolicy::Hold),
+            ("target", RestorePolicy::AskFirst),
         ];
         let mut variables = declared(&policies);
-        for (name, _) in policies {
-            write(&mut variables, name, 7).unwrap();
-        }
+        let all = policies.iter().map(|(name, _)| write(name, 7)).collect();
+        variables.handle_write(all, false, NOW).unwrap();
 
         variables.handle_owner_ended(&ObjectName::new("arm").unwrap(), NOW);
 
         assert_eq!(now_is(&variables, "speed"), Ok((7, ValueState::Current)));
         assert_eq!(now_is(&variables, "torque"), Ok((0, ValueState::Current)));
         assert_eq!(now_is(&variables, "height"), Ok((7, ValueState::Held)));
-        write(&mut variables, "height", 8).unwrap();
+        let undecided = Err(DeliveryError::Undecided { variable: "target of arm".into() });
+        assert_eq!(now_is(&variables, "target"), undecided);
+        variables.handle_write(vec![write("height", 8)], false, NOW).unwrap();
         assert_eq!(now_is(&variables, "height"), Ok((8, ValueState::Current)));
     }
 
@@ -356,6 +397,10 @@ mod tests {
             (RestorePolicy::Restore, Ok((7, ValueState::Current))),
             (RestorePolicy::Default, Ok((0, ValueState::Current))),
             (RestorePolicy::Hold, Ok((7, ValueState::Held))),
+            (
+                RestorePolicy::AskFirst,
+                Err(DeliveryError::Undecided { variable: "it of arm".into() }),
+            ),
         ];
         for (policy, left) in expected {
             let mut variables = Numbered::new(100);
@@ -370,16 +415,39 @@ mod tests {
     }
 
     #[test]
-    fn a_value_is_written_only_over_the_revision_that_its_writer_has_seen() {
-        let mut variables = declared(&[("torque", RestorePolicy::Restore)]);
-        let before = variables.read(&key("torque"), NOW).unwrap().revision;
-        let mut write =
-            |name, revision| variables.handle_write(&key(name), value(1), Some(revision), NOW);
+    fn what_awaits_a_decision_is_not_written_until_somebody_has_decided() {
+        for (choice, left) in [(None, 7), (Some(value(3)), 3)] {
+            let mut variables = declared(&[("target", RestorePolicy::AskFirst)]);
+            variables.handle_write(vec![write("target", 7)], false, NOW).unwrap();
+            variables.handle_owner_ended(&ObjectName::new("arm").unwrap(), NOW);
 
-        assert!(matches!(write("heat", before), Err(DeliveryError::Unknown { .. })));
-        assert!(matches!(write("torque", before - 1), Err(DeliveryError::Changed { .. })));
-        write("torque", before).unwrap();
-        assert!(matches!(write("torque", before), Err(DeliveryError::Changed { .. })));
+            let early = variables.handle_write(vec![write("target", 9)], false, NOW);
+            assert!(matches!(early, Err(DeliveryError::Undecided { .. })), "{early:?}");
+            let choice = || vec![ValueWrite { value: choice.clone(), ..write("target", 0) }];
+            variables.handle_write(choice(), true, NOW).unwrap();
+
+            assert_eq!(now_is(&variables, "target"), Ok((left, ValueState::Current)));
+            let again = variables.handle_write(choice(), true, NOW);
+            assert!(matches!(again, Err(DeliveryError::Changed { .. })), "{again:?}");
+        }
+    }
+
+    #[test]
+    fn several_are_written_together_or_not_at_all() {
+        let mut variables =
+            declared(&[("speed", RestorePolicy::Restore), ("torque", RestorePolicy::Restore)]);
+        let before = variables.read(&key("torque"), NOW).unwrap().revision;
+
+        let unknown = variables.handle_write(vec![write("speed", 1), write("heat", 1)], false, NOW);
+        assert!(matches!(unknown, Err(DeliveryError::Unknown { .. })));
+        let late = ValueWrite { if_revision: Some(before - 1), ..write("torque", 1) };
+        let changed = variables.handle_write(vec![write("speed", 1), late], false, NOW);
+        assert!(matches!(changed, Err(DeliveryError::Changed { .. })));
+        assert_eq!(now_is(&variables, "speed"), Ok((0, ValueState::Current)));
+
+        let right = ValueWrite { if_revision: Some(before), ..write("torque", 1) };
+        variables.handle_write(vec![write("speed", 1), right], false, NOW).unwrap();
+        assert_eq!(now_is(&variables, "speed"), Ok((1, ValueState::Current)));
         assert_eq!(now_is(&variables, "torque"), Ok((1, ValueState::Current)));
     }
 
@@ -390,10 +458,10 @@ mod tests {
 
         variables.handle_watch(1, key("speed"), first, NOW);
         assert_eq!(variables.poll_output(), None);
-        let second = write(&mut variables, "speed", 1).unwrap();
+        let second = variables.handle_write(vec![write("speed", 1)], false, NOW).unwrap();
         let (watcher, result) = variables.poll_output().unwrap();
         assert_eq!((watcher, result.unwrap().revision), (1, second));
-        write(&mut variables, "speed", 2).unwrap();
+        variables.handle_write(vec![write("speed", 2)], false, NOW).unwrap();
         assert_eq!(variables.poll_output(), None);
 
         variables.handle_watch(2, key("speed"), second, NOW);
@@ -408,7 +476,7 @@ mod tests {
         variables.handle_watch(2, key("speed"), after, NOW);
 
         variables.retain_watchers(|&watcher| watcher != 1);
-        write(&mut variables, "speed", 1).unwrap();
+        variables.handle_write(vec![write("speed", 1)], false, NOW).unwrap();
 
         assert_eq!(variables.poll_output().unwrap().0, 2);
         assert_eq!(variables.poll_output(), None);

@@ -1,24 +1,24 @@
-//! Variables of another node: they are read, watched and written as if they were here, and the owner
-//! says what its restart leaves of them.
+//! Variables of another node: they are read, watched and written as if they were here, several
+//! together or not at all, and the owner says what its restart leaves of them.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;
-use blastema::{Link, Network, RestorePolicy, ValueState};
+use blastema::{Link, Network, RestoreDecision, RestorePolicy, Transaction};
 use blastema_examples::free_addresses;
 use std::time::Duration;
 
 /// For the nodes to find each other.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// What the gripper holds, and how fast the arm may move with it: never one without the other.
+/// How fast the arm may move.
+#[derive(Clone, Debug, Variable)]
+#[contract(name = "arm/speed-limit")]
+struct SpeedLimit(#[contract(unit = "rad/s")] f32);
+
+/// What the gripper holds.
 #[derive(Clone, Debug, Variable)]
 #[contract(name = "arm/load")]
-struct Load {
-    #[contract(unit = "kg")]
-    mass: f32,
-    #[contract(unit = "rad/s")]
-    limit: f32,
-}
+struct Load(#[contract(unit = "kg")] f32);
 
 /// Where it is to go. After a restart the robot should not go on to an old target unasked.
 #[derive(Clone, Debug, Variable)]
@@ -29,13 +29,16 @@ struct Arm;
 
 impl Component for Arm {
     fn ports(ports: &mut Ports<Self>) {
-        let load = VariableSpec::new(Load { mass: 0.0, limit: 0.5 });
-        let load = load.check(|load| match load.limit <= 2.0 {
+        let limit = VariableSpec::new(SpeedLimit(0.5)).check(|limit| match limit.0 <= 2.0 {
             true => Ok(()),
             false => Err("the arm breaks above 2 rad/s".into()),
         });
         let target = VariableSpec::new(Target("rest".into()));
-        ports.variable(load).variable(target.after_restart(RestorePolicy::Hold)).accept::<Blow>();
+        ports
+            .variable(limit)
+            .variable(VariableSpec::new(Load(0.0)))
+            .variable(target.after_restart(RestorePolicy::AskFirst))
+            .accept::<Blow>();
     }
 }
 
@@ -63,28 +66,30 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         .await?;
     assert!(node.connected("module2", PATIENCE).await);
 
+    let limit = node.variable::<SpeedLimit>("module2:arm")?;
     let load = node.variable::<Load>("module2:arm")?;
     let target = node.variable::<Target>("module2:arm")?;
-    println!("limit: {} rad/s", load.read().await?.value.limit);
+    println!("limit: {} rad/s", limit.read().await?.value.0);
 
-    // Heavier, and therefore slower.
-    load.write(Load { mass: 3.0, limit: 0.2 }).await?;
-    println!("limit: {} rad/s", load.read().await?.value.limit);
-    if let Err(why) = load.write(Load { mass: 0.0, limit: 9.0 }).await {
-        println!("{why}; the load is still {} kg", load.read().await?.value.mass);
+    // Heavier, and therefore slower: never one without the other.
+    Transaction::new().write(&load, Load(3.0)).write(&limit, SpeedLimit(0.2)).commit().await?;
+    println!("limit: {} rad/s", limit.read().await?.value.0);
+    let wrong = Transaction::new().write(&load, Load(0.0)).write(&limit, SpeedLimit(9.0));
+    if let Err(why) = wrong.commit().await {
+        println!("{why}; the load is still {} kg", load.read().await?.value.0);
     }
 
     target.write(Target("shelf".into())).await?;
     let mut watch = target.watch();
     println!("target: {}", watch.next().await?.value.0);
     arm.sender::<Blow>("arm")?.tell(Blow)?;
-    let left = watch.next().await?;
-    println!("after a blow: {}, {:?}", left.value.0, left.state);
-    if left.state == ValueState::Held {
-        target.write(Target("rest".into())).await?;
+    println!("after a blow: {:?}", watch.next().await?.state);
+    if let Err(why) = target.read().await {
+        println!("{why}");
     }
+    target.decide(RestoreDecision::Default).await?;
     println!("target: {}", watch.next().await?.value.0);
-    println!("the load is still {} kg", load.read().await?.value.mass);
+    println!("the load is still {} kg", load.read().await?.value.0);
     node.shutdown().await;
     arm.shutdown().await;
     Ok(())

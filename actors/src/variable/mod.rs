@@ -2,6 +2,7 @@
 //!
 //! ```text
 //!  VariableRef ─ read, write, watch ─► the owner's node: Store ─ checks, policies ─► value
+//!  Transaction ─ several together ───►
 //! ```
 //!
 //! They are kept by the node, not by the component: a value outlives the incarnations of its owner,
@@ -19,10 +20,12 @@ pub(crate) use store::{DeclaredVariable, VariableStore, declared};
 use crate::messaging::sender::Sender;
 use crate::registry::Registry;
 use crate::registry::encoding::encoded;
-use access::{VariableRequest, VariableWish, WATCH_WITHIN};
+use access::{VariableAnswer, VariableRequest, VariableSelector, WATCH_WITHIN, WriteEntry};
 use blastema_core::contract::codec;
-use blastema_core::variables::ValueReport;
-use blastema_core::{ContractIdentity, DeliveryError, ObjectAddress, ObjectName, Variable};
+use blastema_core::{
+    ContractIdentity, DeliveryError, NodeName, ObjectAddress, ObjectName, Variable,
+};
+use blastema_macros::Structure;
 use std::fmt;
 use std::marker::PhantomData;
 use std::time::Duration;
@@ -87,10 +90,23 @@ pub struct Reading<V> {
     pub age: Duration,
 }
 
+/// The decision on a variable that awaits one.
+#[derive(Clone, Debug, PartialEq, Structure)]
+#[contract(crate = "crate")]
+pub enum RestoreDecision<V> {
+    /// The value from before.
+    Restore,
+    /// The default of the variable.
+    Default,
+    /// The given value, in place of both.
+    Value(V),
+}
+
 /// A variable of an object, here or on another node alike. It outlives restarts of both.
 #[derive(Clone)]
 pub struct VariableRef<V: Variable> {
     sender: Sender<VariableRequest>,
+    node: Option<NodeName>,
     object: ObjectName,
     value: PhantomData<fn() -> V>,
 }
@@ -121,47 +137,44 @@ pub(crate) fn find<V: Variable>(
 ) -> Result<VariableRef<V>, DeliveryError> {
     let unknown = |_| DeliveryError::Unknown { name: name.to_owned() };
     let sender = registry.sender::<VariableRequest>(name).map_err(none_at_all::<V>)?;
-    let object = match name.contains(':') {
-        true => name.parse::<ObjectAddress>().map_err(unknown)?.object,
-        false => ObjectName::new(name).map_err(unknown)?,
+    let (node, object) = match name.contains(':') {
+        true => {
+            let ObjectAddress { node, object } = name.parse().map_err(unknown)?;
+            (registry.elsewhere(node), object)
+        }
+        false => (None, ObjectName::new(name).map_err(unknown)?),
     };
-    Ok(VariableRef { sender, object, value: PhantomData })
+    Ok(VariableRef { sender, node, object, value: PhantomData })
 }
 
 impl<V: Variable> VariableRef<V> {
-    async fn ask(&self, wish: VariableWish) -> Result<ValueReport, DeliveryError> {
+    fn wanted(&self) -> VariableSelector {
         let identity = ContractIdentity::of::<V>().brief().encode();
-        let request = VariableRequest { object: self.object.clone(), identity, wish };
-        let asked = self.sender.ask_within(request, WATCH_WITHIN).await;
+        VariableSelector { object: self.object.clone(), identity }
+    }
+
+    async fn ask(&self, access: VariableRequest) -> Result<VariableAnswer, DeliveryError> {
+        let asked = self.sender.ask_within(access, WATCH_WITHIN).await;
         asked
             .map_err(|error| none_at_all::<V>(error.kind))?
             .map_err(|other| other.difference::<V>("owner"))
     }
 
-    async fn ask_for_value(&self, wish: VariableWish) -> Result<Reading<V>, DeliveryError> {
-        let ValueReport { value, revision, state, age } = self.ask(wish).await?;
+    async fn ask_for_value(&self, access: VariableRequest) -> Result<Reading<V>, DeliveryError> {
+        let VariableAnswer { value, revision, state, age } = self.ask(access).await?;
         let value = codec::decode::<V>(&value)
             .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })?;
         Ok(Reading { value, revision, state, age })
-    }
-
-    async fn ask_to_write(
-        &self,
-        value: &V,
-        if_revision: Option<u64>,
-    ) -> Result<u64, DeliveryError> {
-        let wish = VariableWish::Write { value: encoded(value)?, if_revision };
-        self.ask(wish).await.map(|report| report.revision)
     }
 
     /// Returns the value.
     ///
     /// # Errors
     /// [`DeliveryError::NoVariable`] where the object has no such variable,
-    /// [`DeliveryError::ContractDiffers`] where it is another one; from other nodes, also the errors
-    /// of any request.
+    /// [`DeliveryError::ContractDiffers`] where it is another one, [`DeliveryError::Undecided`]
+    /// while a decision is awaited; from other nodes, also the errors of any request.
     pub async fn read(&self) -> Result<Reading<V>, DeliveryError> {
-        self.ask_for_value(VariableWish::Read).await
+        self.ask_for_value(VariableRequest::Read { variable: self.wanted() }).await
     }
 
     /// Writes a value. Returns its revision.
@@ -170,7 +183,7 @@ impl<V: Variable> VariableRef<V> {
     /// As [`read`](Self::read), and [`DeliveryError::CheckFailed`] where the owner's check refuses
     /// the value.
     pub async fn write(&self, value: V) -> Result<u64, DeliveryError> {
-        self.ask_to_write(&value, None).await
+        Transaction::new().write(self, value).commit().await
     }
 
     /// Writes a value if the variable's revision is still this one.
@@ -178,7 +191,23 @@ impl<V: Variable> VariableRef<V> {
     /// # Errors
     /// As [`write`](Self::write), and [`DeliveryError::Changed`] where it is another.
     pub async fn write_if(&self, value: V, revision: u64) -> Result<u64, DeliveryError> {
-        self.ask_to_write(&value, Some(revision)).await
+        Transaction::new().write_if(self, value, revision).commit().await
+    }
+
+    /// Decides what becomes of the value after a restart, where the owner's policy is to ask first.
+    ///
+    /// # Errors
+    /// As [`write`](Self::write), and [`DeliveryError::Changed`] where no decision is awaited any
+    /// more.
+    pub async fn decide(&self, decision: RestoreDecision<V>) -> Result<u64, DeliveryError> {
+        let value = match decision {
+            RestoreDecision::Restore => RestoreDecision::Restore,
+            RestoreDecision::Default => RestoreDecision::Default,
+            RestoreDecision::Value(value) => RestoreDecision::Value(encoded(&value)?),
+        };
+        let writes = vec![WriteEntry { variable: self.wanted(), value, if_revision: None }];
+        let access = VariableRequest::Write { writes, decides: true };
+        self.ask(access).await.map(|report| report.revision)
     }
 
     /// Follows the variable: first its present value, then every change. Of several changes in one
@@ -197,8 +226,9 @@ pub struct VariableWatch<V: Variable> {
 }
 
 impl<V: Variable> VariableWatch<V> {
-    /// Waits for the next change. While the owner or its node is absent, the watch waits, and then
-    /// misses nothing that is still true.
+    /// Waits for the next change. A value that awaits a decision is reported as such, with the
+    /// previous value. While the owner or its node is absent, the watch waits, and then misses
+    /// nothing that is still true.
     ///
     /// # Errors
     /// What waiting does not help against: [`DeliveryError::NoVariable`],
@@ -207,7 +237,9 @@ impl<V: Variable> VariableWatch<V> {
     pub async fn next(&mut self) -> Result<Reading<V>, DeliveryError> {
         let mut retry = FIRST_RETRY;
         loop {
-            match self.variable.ask_for_value(VariableWish::Watch { after: self.seen }).await {
+            let variable = self.variable.wanted();
+            let access = VariableRequest::Watch { variable, after: self.seen };
+            match self.variable.ask_for_value(access).await {
                 // Nothing has changed: we are still here.
                 Err(DeliveryError::DeadlinePassed) => {}
                 Ok(reading) => {
@@ -248,3 +280,74 @@ impl<V: Variable> VariableWatch<V> {
 /// After how long a watch asks again for the first time, and at most.
 const FIRST_RETRY: Duration = Duration::from_millis(50);
 const LAST_RETRY: Duration = Duration::from_secs(1);
+
+/// Values that are written together or not at all. All of the variables must be on one node.
+#[derive(Debug, Default)]
+#[must_use = "nothing is written before commit()"]
+pub struct Transaction {
+    writes: Vec<WriteEntry>,
+    target: Option<(Sender<VariableRequest>, Option<NodeName>)>,
+    wrong: Option<DeliveryError>,
+}
+
+impl Transaction {
+    /// Nothing to be written yet.
+    pub fn new() -> Self {
+        Transaction::default()
+    }
+
+    /// Writes this value.
+    pub fn write<V: Variable>(self, variable: &VariableRef<V>, value: V) -> Self {
+        self.add(variable, &value, None)
+    }
+
+    /// Writes this value if the variable's revision is still this one.
+    pub fn write_if<V: Variable>(self, variable: &VariableRef<V>, value: V, revision: u64) -> Self {
+        self.add(variable, &value, Some(revision))
+    }
+
+    fn add<V: Variable>(
+        mut self,
+        variable: &VariableRef<V>,
+        value: &V,
+        if_revision: Option<u64>,
+    ) -> Self {
+        let node = &variable.node;
+        let target = self.target.get_or_insert_with(|| (variable.sender.clone(), node.clone()));
+        if target.1 != *node {
+            let reason = format!("{variable:?} is on another node: write there separately");
+            self.wrong.get_or_insert(DeliveryError::CheckFailed { reason });
+        }
+        match encoded(value) {
+            Ok(value) => {
+                let (variable, value) = (variable.wanted(), RestoreDecision::Value(value));
+                self.writes.push(WriteEntry { variable, value, if_revision });
+            }
+            Err(why) => {
+                self.wrong.get_or_insert(why);
+            }
+        }
+        self
+    }
+
+    /// Writes all values. Returns the new revision.
+    ///
+    /// # Errors The first error, as for [`VariableRef::write_if`]; no value is written then. After
+    /// [`DeliveryError::DeadlinePassed`], and where the node was lost meanwhile, it is not known
+    /// whether everything or nothing was: read one of them.
+    pub async fn commit(self) -> Result<u64, DeliveryError> {
+        if let Some(why) = self.wrong {
+            return Err(why);
+        }
+        let Some((sender, _)) = self.target else {
+            return Err(DeliveryError::CheckFailed { reason: "nothing is to be written".into() });
+        };
+        let access = VariableRequest::Write { writes: self.writes, decides: false };
+        let asked = sender.ask_within(access, WATCH_WITHIN).await;
+        let written = asked.map_err(|error| error.kind)?.map_err(|other| {
+            let difference = format!("{} is another one there: read it to see how", other.name());
+            DeliveryError::ContractDiffers { difference }
+        });
+        written.map(|report| report.revision)
+    }
+}

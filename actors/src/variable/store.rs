@@ -1,6 +1,7 @@
 //! The variables of a node: drives the machine in the core.
 
-use super::access::{VariableRequest, VariableWish};
+use super::RestoreDecision;
+use super::access::{VariableAnswer, VariableRequest, VariableSelector, WriteEntry};
 use super::kept_file::{self, LoadError, PersistenceFile, WriteDone};
 use crate::messaging::death_watch::{DownReason, Watcher};
 use crate::messaging::incarnation::IncarnationToken;
@@ -14,10 +15,10 @@ use crate::registry::{ContractPort, Registry};
 use blastema_core::contract::codec;
 use blastema_core::sorted::SortedMap;
 use blastema_core::variables::{
-    PersistedValue, RestorePolicy, ValueReport, ValueState, VariableDeclaration, VariableKey,
+    PersistedValue, RestorePolicy, ValueState, ValueWrite, VariableDeclaration, VariableKey,
     Variables,
 };
-use blastema_core::{Blob, ContractIdentity, DeliveryError, ObjectName, PeerIdentity, Variable};
+use blastema_core::{ContractIdentity, DeliveryError, ObjectName, PeerIdentity, Variable};
 use bytes::Bytes;
 use std::io;
 use std::path::PathBuf;
@@ -118,20 +119,26 @@ impl Inner {
     }
 }
 
-/// Whether a message may do what it wants with the variable that it names.
+/// Whether a message may do what it wants with all variables that it names.
 fn may(
     rights: &AccessControl,
     from: MessageOrigin,
-    VariableRequest { object, identity, wish }: &VariableRequest,
+    access: &VariableRequest,
 ) -> Result<(), DeliveryError> {
-    let wish = match wish {
-        VariableWish::Read | VariableWish::Watch { .. } => AccessWish::Read,
-        VariableWish::Write { .. } => AccessWish::Write,
+    let check = |wish, VariableSelector { object, identity }: &VariableSelector| {
+        rights.check(from, wish, object, || {
+            // What cannot be read is refused as such when it is served.
+            PeerIdentity::decode(identity).map_or_else(|_| String::new(), |identity| identity.name)
+        })
     };
-    rights.check(from, wish, object, || {
-        // What cannot be read is refused as such when it is served.
-        PeerIdentity::decode(identity).map_or_else(|_| String::new(), |identity| identity.name)
-    })
+    match access {
+        VariableRequest::Read { variable } | VariableRequest::Watch { variable, .. } => {
+            check(AccessWish::Read, variable)
+        }
+        VariableRequest::Write { writes, .. } => {
+            writes.iter().try_for_each(|write| check(AccessWish::Write, &write.variable))
+        }
+    }
 }
 
 /// The variables of a node. Clones share them.
@@ -261,21 +268,18 @@ impl VariableStore {
     }
 
     fn serve(&self, access: VariableRequest, permit: Permit, reply: Responder<VariableRequest>) {
-        let (key, facts) = match self.find(access.object, &access.identity) {
-            Ok(found) => found,
-            Err(refusal) => return reply.settle(Err(refusal)),
-        };
-        match access.wish {
-            VariableWish::Read => {
-                let read = self.lock().machine.read(&key, platform::now());
-                reply.settle(read.map_err(RequestRefusal::Why));
+        match access {
+            VariableRequest::Read { variable } => {
+                let read = |(key, _)| Ok(self.lock().machine.read(&key, platform::now())?.into());
+                reply.settle(self.find(&variable).and_then(read));
             }
-            VariableWish::Watch { after } => {
-                self.watch(key, after, WaitingWatch { permit, reply });
-            }
-            VariableWish::Write { value, if_revision } => match (facts.check)(&value) {
-                Ok(()) => self.write((&key, facts), value.into(), if_revision, reply),
-                Err(why) => reply.settle(Err(why.into())),
+            VariableRequest::Watch { variable, after } => match self.find(&variable) {
+                Ok((key, _)) => self.watch(key, after, WaitingWatch { permit, reply }),
+                Err(refusal) => reply.settle(Err(refusal)),
+            },
+            VariableRequest::Write { writes, decides } => match self.checked(writes) {
+                Ok(writes) => self.write(writes, decides, reply),
+                Err(refusal) => reply.settle(Err(refusal)),
             },
         }
     }
@@ -294,18 +298,14 @@ impl VariableStore {
         self.lock().machine.watchers()
     }
 
-    /// Writes a value. With a file, the caller is answered when it is on the disk.
-    fn write(
-        &self,
-        (variable, facts): (&VariableKey, VariableFacts),
-        value: Bytes,
-        if_revision: Option<u64>,
-        reply: Responder<VariableRequest>,
-    ) {
+    /// Writes values. With a file, the caller is answered when they are on the disk.
+    fn write(&self, writes: Vec<ValueWrite>, decides: bool, reply: Responder<VariableRequest>) {
         let (mut inner, now) = (self.lock(), platform::now());
+        let declared = |write: &ValueWrite| inner.machine.declaration(&write.variable);
+        let observers = writes.iter().filter_map(|write| declared(write)?.facts.observer.clone());
+        let observers: Vec<_> = observers.collect();
         let has_space = inner.file.as_ref().map_or(Ok(()), PersistenceFile::check);
-        let written =
-            has_space.and_then(|()| inner.machine.handle_write(variable, value, if_revision, now));
+        let written = has_space.and_then(|()| inner.machine.handle_write(writes, decides, now));
         let revision = match written {
             Ok(revision) => revision,
             Err(why) => {
@@ -314,7 +314,7 @@ impl VariableStore {
             }
         };
         let (state, age) = (ValueState::Current, Duration::ZERO);
-        let report = ValueReport { value: Blob::default(), revision, state, age };
+        let report = VariableAnswer { value: Vec::new(), revision, state, age };
         let done: WriteDone = Box::new(move |kept| match kept {
             Ok(()) => reply.give(Ok(report)),
             Err(reason) => reply.refuse(DeliveryError::NotKept { reason }, None),
@@ -328,7 +328,7 @@ impl VariableStore {
             None => Some(done),
         };
         tell_watchers(inner);
-        facts.observer.into_iter().for_each(|observer| observer());
+        observers.into_iter().for_each(|observer| observer());
         done.into_iter().for_each(|done| done(Ok(())));
     }
 
@@ -339,22 +339,38 @@ impl VariableStore {
         if inner.machine.declaration(&key).is_none() {
             return Err(inner.no_variable(&key));
         }
-        inner.machine.read(&key, platform::now()).map(|report| report.value.into())
+        inner.machine.read(&key, platform::now()).map(|report| report.value)
+    }
+
+    fn checked(&self, writes: Vec<WriteEntry>) -> Result<Vec<ValueWrite>, RequestRefusal> {
+        let mut checked = Vec::new();
+        for WriteEntry { variable, value, if_revision } in writes {
+            let (variable, VariableDeclaration { facts, default, .. }) = self.find(&variable)?;
+            let value = match value {
+                RestoreDecision::Restore => None,
+                RestoreDecision::Default => Some(default),
+                RestoreDecision::Value(value) => {
+                    (facts.check)(&value)?;
+                    Some(value.into())
+                }
+            };
+            checked.push(ValueWrite { variable, value, if_revision });
+        }
+        Ok(checked)
     }
 
     /// The variable, if it is what the asker takes it for.
     fn find(
         &self,
-        object: ObjectName,
-        identity: &[u8],
-    ) -> Result<(VariableKey, VariableFacts), RequestRefusal> {
-        let theirs = named_contract(identity)?;
-        let key = (object, theirs.name.clone());
+        wanted: &VariableSelector,
+    ) -> Result<(VariableKey, VariableDeclaration<VariableFacts>), RequestRefusal> {
+        let theirs = named_contract(&wanted.identity)?;
+        let key = (wanted.object.clone(), theirs.name.clone());
         let inner = self.lock();
-        let known = inner.machine.declaration(&key).map(|declared| declared.facts.clone());
+        let known = inner.machine.declaration(&key).cloned();
         let known = known.ok_or_else(|| inner.no_variable(&key))?;
         drop(inner);
-        RequestRefusal::check(&known.identity, &theirs)?;
+        RequestRefusal::check(&known.facts.identity, &theirs)?;
         Ok((key, known))
     }
 }
@@ -364,7 +380,7 @@ fn tell_watchers(mut inner: MutexGuard<'_, Inner>) {
     let reports: Vec<_> = std::iter::from_fn(|| inner.machine.poll_output()).collect();
     drop(inner);
     for (WaitingWatch { permit, reply }, result) in reports {
-        reply.settle(permit().and(result).map_err(RequestRefusal::Why));
+        reply.settle(permit().and(result).map(VariableAnswer::from).map_err(RequestRefusal::Why));
     }
 }
 
@@ -409,12 +425,11 @@ mod tests {
         let port = store.declare(&wheels, vec![limit], || false, rights.clone()).unwrap();
         let skeleton = port.into_skeleton();
         let identity = ContractIdentity::of::<Limit>().brief().encode();
+        let variable = VariableSelector { object: wheels.clone(), identity };
         let watch = |after| {
             let answered = Arc::new(Mutex::new(None));
             let keep = answered.clone();
-            let (object, identity) = (wheels.clone(), identity.clone());
-            let wish = VariableWish::Watch { after };
-            let access = VariableRequest { object, identity, wish };
+            let access = VariableRequest::Watch { variable: variable.clone(), after };
             let mut bytes = Vec::new();
             codec::encode(&access, &mut bytes).unwrap();
             let from = Some(NodeId::of(&node("arm")));
@@ -432,7 +447,8 @@ mod tests {
             let variable = (wheels.clone(), Limit::NAME.to_owned());
             let value = encoded(&Limit(value)).unwrap().into();
             let mut inner = store.lock();
-            inner.machine.handle_write(&variable, value, None, platform::now()).unwrap();
+            let write = ValueWrite { variable, value: Some(value), if_revision: None };
+            inner.machine.handle_write(vec![write], false, platform::now()).unwrap();
             tell_watchers(inner);
         };
         rights.replace(only("arm"));

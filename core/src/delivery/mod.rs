@@ -128,6 +128,13 @@ pub enum DeliveryError {
         /// Why the path to the answer is lost.
         reason: String,
     },
+    /// What became of the variable's value when its owner's incarnation ended awaits a decision.
+    /// Decide by `VariableRef::decide`.
+    #[error("{variable} awaits a decision: restore it, take its default, or give it a value")]
+    Undecided {
+        /// The variable and its owner, such as `target of arm`.
+        variable: String,
+    },
     /// The variable is not what the writer took it for. Read it again.
     #[error("{variable} has changed: its revision is {revision}")]
     Changed {
@@ -387,6 +394,7 @@ impl DeliveryError {
             | DeliveryError::TooLarge { .. }
             | DeliveryError::TooLargeForSession { .. }
             | DeliveryError::Left { .. }
+            | DeliveryError::Undecided { .. }
             | DeliveryError::Changed { .. }
             | DeliveryError::CheckFailed { .. }
             | DeliveryError::Held { .. }

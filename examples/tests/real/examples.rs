@@ -273,7 +273,7 @@ fn parameters_are_read_set_and_refused_with_the_reason() {
 }
 
 #[test]
-fn variables_of_another_node_are_checked_and_outlive_their_owner_as_declared() {
+fn variables_of_another_node_are_written_together_and_outlive_their_owner_as_declared() {
     let _turn = blastema_doubles::turn();
     check(
         "variables",
@@ -282,7 +282,8 @@ fn variables_of_another_node_are_checked_and_outlive_their_owner_as_declared() {
             "limit: 0.2 rad/s",
             "refused by a check: the arm breaks above 2 rad/s; the load is still 3 kg",
             "target: shelf",
-            "after a blow: shelf, Held",
+            "after a blow: Undecided",
+            "arm/target of arm awaits a decision: restore it, take its default, or give it a value",
             "target: rest",
             "the load is still 3 kg",
         ],

@@ -5,8 +5,8 @@
 
 use blastema::prelude::*;
 use blastema::{
-    ActuatorSpec, Hold, Link, Network, RestorePolicy, Role, ServiceSpec, StandbyKind, Stateful,
-    ValueState,
+    ActuatorSpec, Hold, Link, Network, RestoreDecision, RestorePolicy, Role, ServiceSpec,
+    StandbyKind, Stateful, Transaction,
 };
 use blastema_tests::{Process, addresses, answers, found, free_addresses, moves, role, until};
 use std::net::SocketAddr;
@@ -242,15 +242,16 @@ async fn primary(counter: &blastema::ServiceRef<Add>) -> usize {
     }
 }
 
-/// How much came in, and how much is there: always the same, since they are one value.
+/// How much came in, and how much is there: always the same, since they are written together.
 #[derive(Clone, Debug, PartialEq, Variable)]
-#[contract(name = "books/account")]
-struct Account {
-    income: u64,
-    balance: u64,
-}
+#[contract(name = "books/income")]
+struct Income(u64);
 
-/// What is not used after a restart before it was looked at.
+#[derive(Clone, Debug, PartialEq, Variable)]
+#[contract(name = "books/balance")]
+struct Balance(u64);
+
+/// What may not be used after a restart until it was decided upon.
 #[derive(Clone, Debug, PartialEq, Variable)]
 #[contract(name = "books/plan")]
 struct Intention(u64);
@@ -259,13 +260,13 @@ struct Books;
 
 impl Component for Books {
     fn ports(ports: &mut Ports<Self>) {
-        let plan = VariableSpec::new(Intention(0)).after_restart(RestorePolicy::Hold);
-        let refused = |account: &Account| match account.balance {
+        let plan = VariableSpec::new(Intention(0)).after_restart(RestorePolicy::AskFirst);
+        let refused = |balance: &Balance| match balance.0 {
             0..1_000_000 => Ok(()),
             _ => Err("there is not so much".to_owned()),
         };
-        let account = VariableSpec::new(Account { income: 0, balance: 0 }).check(refused);
-        ports.variable(account).variable(plan);
+        let balance = VariableSpec::new(Balance(0)).check(refused);
+        ports.variable(VariableSpec::new(Income(0))).variable(balance).variable(plan);
     }
 }
 
@@ -293,18 +294,18 @@ fn values_that_were_written_are_there_after_the_process_was_killed_in_the_middle
 
     blastema::run(async {
         let node = Node::builder("module0").network(ethernet(&addresses, 0)).start().await.unwrap();
-        let account = node.variable::<Account>("module1:books").unwrap();
+        let income = node.variable::<Income>("module1:books").unwrap();
+        let balance = node.variable::<Balance>("module1:books").unwrap();
         let plan = node.variable::<Intention>("module1:books").unwrap();
         let mut acknowledged = 0;
         for round in 0..8 {
             let left = loop {
-                match account.read().await {
-                    Ok(reading) => break reading.value,
+                match income.read().await {
+                    Ok(reading) => break reading.value.0,
                     Err(_) => tokio::task::yield_now().await,
                 }
             };
-            assert_eq!(left.income, left.balance, "round {round}: together");
-            let left = left.income;
+            assert_eq!(balance.read().await.unwrap().value.0, left, "round {round}: together");
             assert!(left == acknowledged || left == acknowledged + 1, "round {round}: {left}");
             if round == 0 {
                 let second = Node::builder("module2").keep_variables(&file).start().await;
@@ -312,12 +313,17 @@ fn values_that_were_written_are_there_after_the_process_was_killed_in_the_middle
                 assert!(refused.contains("another process uses the file (node module1, process "));
             }
             if round > 0 {
-                let held = plan.read().await.unwrap();
-                assert_eq!((held.value, held.state), (Intention(7), ValueState::Held));
+                let undecided = plan.read().await;
+                assert!(matches!(undecided, Err(DeliveryError::Undecided { .. })), "{undecided:?}");
+                plan.decide(RestoreDecision::Restore).await.unwrap();
+                assert_eq!(plan.read().await.unwrap().value, Intention(7));
             }
             plan.write(Intention(7)).await.unwrap();
             acknowledged = left;
-            let write = async |sum: u64| account.write(Account { income: sum, balance: sum }).await;
+            let write = async |sum: u64| {
+                let both = Transaction::new().write(&income, Income(sum));
+                both.write(&balance, Balance(sum)).commit().await
+            };
             for _ in 0..=round {
                 // Whatever became of an attempt, the next one writes the same.
                 until(async || write(acknowledged + 1).await.is_ok(), "the keeper lives").await;
@@ -351,8 +357,8 @@ fn a_file_of_variables_that_is_damaged_is_set_aside_and_a_fault() {
 
     blastema::run(async {
         let node = books(1, &addresses, &file).start().await.unwrap();
-        let account = node.variable::<Account>("books").unwrap();
-        account.write(Account { income: 5, balance: 5 }).await.unwrap();
+        let income = node.variable::<Income>("books").unwrap();
+        income.write(Income(5)).await.unwrap();
         node.shutdown().await;
         drop(node);
         let mut bytes = std::fs::read(&path).unwrap();
@@ -361,8 +367,8 @@ fn a_file_of_variables_that_is_damaged_is_set_aside_and_a_fault() {
         std::fs::write(&path, bytes).unwrap();
 
         let node = books(1, &addresses, &file).start().await.unwrap();
-        let account = node.variable::<Account>("books").unwrap();
-        assert_eq!(account.read().await.unwrap().value.income, 0, "not what may be wrong");
+        let income = node.variable::<Income>("books").unwrap();
+        assert_eq!(income.read().await.unwrap().value, Income(0), "not what may be wrong");
         let told = async || {
             let mut entries = node.faults().await.entries.into_iter();
             let told = entries.find(|entry| entry.fault.detail.contains("set aside"))?;
@@ -371,7 +377,7 @@ fn a_file_of_variables_that_is_damaged_is_set_aside_and_a_fault() {
         let detail = found(told, "the fault list tells").await;
         assert!(detail.contains("checksum"), "{detail}");
         assert!(folder.path().join("variables.damaged").exists());
-        account.write(Account { income: 6, balance: 6 }).await.unwrap();
+        income.write(Income(6)).await.unwrap();
         assert!(path.exists(), "and it is kept again");
         node.shutdown().await;
     });

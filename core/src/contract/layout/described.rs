@@ -1,10 +1,10 @@
 //! The structure of Rust's own types, and of the middleware's words that users put into messages.
 
 use super::{Described, Field, Fields, Layout, Primitive, Shape, Variant};
-use crate::variables::{ValueReport, ValueState};
+use crate::variables::ValueState;
 use crate::{
-    Blob, FaultId, FaultKind, FaultLocation, Incarnation, Lifecycle, NodeName, ObjectAddress,
-    ObjectName, Severity,
+    FaultId, FaultKind, FaultLocation, Incarnation, Lifecycle, NodeName, ObjectAddress, ObjectName,
+    Severity,
 };
 use std::any::TypeId;
 use std::borrow::Cow;
@@ -224,10 +224,7 @@ describe! { struct ObjectName(String) }
 describe! { struct ObjectAddress { node: NodeName, object: ObjectName } }
 describe! { struct Incarnation(u64) }
 describe! { struct FaultId(u64) }
-describe! { enum ValueState { Current, Held } }
-describe! {
-    struct ValueReport { value: Blob, revision: u64, state: ValueState, age: Duration }
-}
+describe! { enum ValueState { Current, Held, Undecided } }
 describe! { enum Severity { Warning, Error, Critical } }
 describe! { enum Lifecycle { Created, Initialized, Active, Error, Fatal, Finalized } }
 describe! {

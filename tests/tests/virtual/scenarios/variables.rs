@@ -1,7 +1,7 @@
 //! Variables of objects here and on another node, in virtual time.
 
 use blastema::prelude::*;
-use blastema::{Direction, MemoryMedium, RestorePolicy, ValueState};
+use blastema::{Direction, MemoryMedium, RestoreDecision, RestorePolicy, Transaction, ValueState};
 use blastema_testkit::TestNode;
 use blastema_tests::{MS, Notes, on_ethernet};
 
@@ -12,6 +12,10 @@ struct Speed(f32);
 #[derive(Clone, Debug, PartialEq, Variable)]
 #[contract(name = "arm/height")]
 struct Height(f32);
+
+#[derive(Clone, Debug, PartialEq, Variable)]
+#[contract(name = "arm/target")]
+struct Target(String);
 
 #[derive(Clone, Debug, PartialEq, Variable)]
 #[contract(name = "arm/tool")]
@@ -26,8 +30,13 @@ impl Component for Arm {
             if speed.0 <= 2.0 { Ok(()) } else { Err("too fast".into()) }
         });
         let height = VariableSpec::new(Height(0.0)).after_restart(RestorePolicy::Hold);
+        let target = VariableSpec::new(Target("rest".into()));
         let tool = VariableSpec::new(Tool(0)).after_restart(RestorePolicy::Default);
-        ports.variable(speed).variable(height).variable(tool);
+        ports
+            .variable(speed)
+            .variable(height)
+            .variable(target.after_restart(RestorePolicy::AskFirst))
+            .variable(tool);
     }
 }
 
@@ -46,7 +55,8 @@ async fn variables_are_read_written_and_checked_alike_here_and_on_another_node()
     let (here, there) = two_nodes().await;
 
     for (node, name) in [(&there, "arm"), (&there, "module2:arm"), (&here, "module2:arm")] {
-        let speed = node.variable::<Speed>(name).unwrap();
+        let (speed, height) =
+            (node.variable::<Speed>(name).unwrap(), node.variable::<Height>(name).unwrap());
         let first = speed.write(Speed(1.0)).await.unwrap();
         assert_eq!(speed.read().await.unwrap().value, Speed(1.0), "{name}");
 
@@ -57,13 +67,18 @@ async fn variables_are_read_written_and_checked_alike_here_and_on_another_node()
         };
         assert!(reason.contains("backwards"), "{reason}");
 
+        let both = Transaction::new().write(&height, Height(9.0)).write(&speed, Speed(3.0));
+        assert!(both.commit().await.is_err());
+        assert_ne!(height.read().await.unwrap().value, Height(9.0), "not one without the other");
         let late = speed.write_if(Speed(0.1), first - 1).await;
         assert!(
             matches!(late, Err(DeliveryError::Changed { revision, .. }) if revision == first),
             "{late:?}"
         );
-        speed.write_if(Speed(0.2), first).await.unwrap();
-        assert_eq!(speed.read().await.unwrap().value, Speed(0.2));
+        let both =
+            Transaction::new().write(&height, Height(0.3)).write_if(&speed, Speed(0.2), first);
+        both.commit().await.unwrap();
+        assert_eq!(height.read().await.unwrap().value, Height(0.3));
     }
     here.expect_no_faults().await;
     there.expect_no_faults().await;
@@ -98,6 +113,10 @@ async fn what_is_no_variable_or_another_one_is_told_so() {
     }
     let nowhere = here.variable::<Speed>("module9:arm").unwrap().read().await;
     assert!(matches!(nowhere, Err(DeliveryError::Unreachable { .. })), "{nowhere:?}");
+    let apart = Transaction::new()
+        .write(&here.variable::<Speed>("module2:arm").unwrap(), Speed(1.0))
+        .write(&here.variable::<Speed>("module9:arm").unwrap(), Speed(1.0));
+    assert!(matches!(apart.commit().await, Err(DeliveryError::CheckFailed { .. })));
 }
 
 #[blastema_testkit::test]
@@ -105,10 +124,16 @@ async fn each_variable_becomes_what_was_declared_when_its_owner_dies() {
     let (here, mut there) = two_nodes().await;
     let speed = here.variable::<Speed>("module2:arm").unwrap();
     let height = here.variable::<Height>("module2:arm").unwrap();
+    let target = here.variable::<Target>("module2:arm").unwrap();
     let tool = here.variable::<Tool>("module2:arm").unwrap();
-    speed.write(Speed(1.5)).await.unwrap();
-    height.write(Height(0.7)).await.unwrap();
-    tool.write(Tool(3)).await.unwrap();
+    Transaction::new()
+        .write(&speed, Speed(1.5))
+        .write(&height, Height(0.7))
+        .write(&target, Target("shelf".into()))
+        .write(&tool, Tool(3))
+        .commit()
+        .await
+        .unwrap();
 
     there.kill("arm");
     there.await_recovered(FaultKind::Panic, "arm").await;
@@ -118,6 +143,18 @@ async fn each_variable_becomes_what_was_declared_when_its_owner_dies() {
     let held = height.read().await.unwrap();
     assert_eq!((held.value, held.state), (Height(0.7), ValueState::Held));
     assert_eq!(tool.read().await.unwrap().value, Tool(0));
+    assert!(matches!(target.read().await, Err(DeliveryError::Undecided { .. })));
+    assert!(matches!(
+        target.write(Target("floor".into())).await,
+        Err(DeliveryError::Undecided { .. })
+    ));
+
+    target.decide(RestoreDecision::Restore).await.unwrap();
+    assert_eq!(target.read().await.unwrap().value, Target("shelf".into()));
+    assert!(matches!(
+        target.decide(RestoreDecision::Default).await,
+        Err(DeliveryError::Changed { .. })
+    ));
 }
 
 /// Notes every speed that it hears of, and the errors.
