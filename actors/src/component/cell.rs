@@ -22,6 +22,7 @@ use crate::liveness::sampler::AliveSource;
 use crate::messaging::death_watch::{Down, DownReason};
 use crate::messaging::error::{Receiver, RequestError, SendError, Unavailable};
 use crate::messaging::incarnation::IncarnationToken;
+use crate::messaging::message_log;
 use crate::messaging::queue::{BoundedQueue, WhenFull};
 use crate::messaging::reply::{ReplyFuture, Responder};
 use crate::messaging::sink::MessageSink;
@@ -625,6 +626,8 @@ impl<C: Component> ComponentCell<C> {
     where
         C: Handle<M>,
     {
+        let (name, environment) = (&self.record.name, &self.record.environment);
+        message_log::sent(M::NAME, name, || environment.watch_list.name_here());
         let posted = match heartbeat::send_refusal().or_else(|| self.record.refusal(id)) {
             None => {
                 let (port, times) = (self.port_of::<M>(), Times::from(posted_at));
@@ -633,6 +636,7 @@ impl<C: Component> ComponentCell<C> {
             Some(why) => Err((message, why)),
         };
         posted.map_err(|(message, why)| {
+            message_log::refused(M::NAME, name, &why);
             if let DeliveryError::Quarantined { .. } = why {
                 self.record.record_dead_letter(M::NAME, &why);
             }

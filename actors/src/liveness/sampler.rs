@@ -128,6 +128,13 @@ impl SampledComponents {
         *lock(&self.0.declaring) = object;
     }
 
+    /// The component that runs on this thread; empty if none of this node does.
+    pub(crate) fn name_here(&self) -> String {
+        let entries = lock(&self.0.by_slot);
+        let here = heartbeat::running_here().and_then(|slot| entries.get(&slot));
+        here.map_or_else(String::new, |watched| watched.object.to_string())
+    }
+
     /// Where the component on this thread waits for `asked`, and that one for it, directly or by
     /// way of others: all of them, each asking the next, and the incarnation of the first.
     pub(crate) fn circle(&self, asked: &ObjectName) -> Option<(Incarnation, Vec<ObjectName>)> {

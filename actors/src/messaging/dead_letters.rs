@@ -1,5 +1,6 @@
 //! The dead-letter log: undelivered messages, readable from every thread.
 
+use crate::messaging::message_log;
 use crate::platform::lock;
 use blastema_core::delivery::dead_letters::{DeadLetterCount, DeadLetters, DeadReason};
 use blastema_core::{DeliveryError, NodeName, ObjectName};
@@ -58,7 +59,9 @@ impl DeadLetterLog {
         contract: impl Into<Cow<'static, str>>,
         (reason, many): (DeadReason, u64),
     ) {
-        lock(&self.0).handle((node, object.clone(), contract.into(), reason), many);
+        let contract = contract.into();
+        message_log::lost(&contract, object, reason, many);
+        lock(&self.0).handle((node, object.clone(), contract, reason), many);
     }
 
     /// How many messages were not delivered.

@@ -7,6 +7,7 @@ pub(crate) mod error;
 pub(crate) mod incarnation;
 pub(crate) mod injection;
 pub(crate) mod message_id;
+pub(crate) mod message_log;
 pub(crate) mod queue;
 pub(crate) mod reply;
 pub(crate) mod retry;

@@ -39,6 +39,7 @@ pub use traffic::TopicRow;
 
 use crate::component::envelope::{Times, enqueue_time};
 use crate::messaging::dead_letters::DeadLetterLog;
+use crate::messaging::message_log;
 use crate::messaging::queue::Pushed;
 use crate::platform::{self, lock, panics};
 use crate::runtime::reports::FaultReports;
@@ -230,10 +231,17 @@ impl<E: Event> Topic<E> {
         taken.map(|()| reserved).map_err(|full| full.full())
     }
 
-    fn publish(&self, event: E, captured_at: Option<Instant>, reserved: ReservedForwards) {
+    fn publish(
+        &self,
+        event: E,
+        captured_at: Option<Instant>,
+        by: &str,
+        reserved: ReservedForwards,
+    ) {
         let posted_at = enqueue_time::<E>();
         // What is still to come was captured now at the latest.
         let captured_at = captured_at.map(|at| at.min(platform::now()));
+        message_log::sent(E::NAME, &self.key.topic, || by.to_owned());
         let times = Times { posted_at, captured_at };
         self.traffic.count();
         if self.traffic.is_to_be_measured() {

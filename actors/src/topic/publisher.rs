@@ -120,7 +120,7 @@ impl<E: Event> Publisher<E> {
         match self.refusal() {
             Some(why) => Err(SendError::new(why, event)),
             None => {
-                self.announced.topic.publish(event, captured_at, reserved);
+                self.announced.topic.publish(event, captured_at, &self.announced.by, reserved);
                 Ok(())
             }
         }

@@ -4,6 +4,7 @@
 mod architecture;
 mod leaving;
 mod manual;
+mod message_log;
 mod ports;
 mod readme;
 mod robot_file;

@@ -8,6 +8,7 @@ use crate::component::incarnation::IncarnationState;
 use crate::component::slot::ComponentSlot;
 use crate::component::{Component, Handle};
 use crate::liveness::activity::ActivityRecord;
+use crate::messaging::message_log;
 use blastema_core::Contract;
 use std::any::TypeId;
 use std::rc::Rc;
@@ -48,6 +49,7 @@ impl<C: Component, S> EventService<'_, C, S> {
         S: EventFutureSlot<C, M>,
     {
         self.state.captured_at.set(Some(times.captured_at()));
+        message_log::begun(M::NAME, &self.cell.record.name, self.state.incarnation);
         self.activity.begin(self.label);
         *self.service = Service::Message { at: self.at, is_followed: false };
         if self.future_slot.begin(event, self.component, &mut self.cx).is_pending() {

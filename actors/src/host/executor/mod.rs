@@ -31,6 +31,7 @@ use crate::component::slot::ComponentSlot;
 use crate::liveness::activity::ActivitySlotRef;
 use crate::liveness::label::{FACTORY, TASK, TIMER};
 use crate::liveness::sampler::SampledComponent;
+use crate::messaging::message_log;
 use crate::messaging::queue::Popped;
 use crate::platform;
 use crate::platform::panics::PanicGuard;
@@ -381,6 +382,7 @@ impl<C: Component> ComponentExecutor<C> {
     #[inline]
     fn note_message(&mut self, header: &EnvelopeHeader, envelope: &dyn Envelope<C>) -> usize {
         self.state.captured_at.set(Some(header.captured_at));
+        message_log::begun(header.name, &self.cell.record.name, self.state.incarnation);
         let at = self.service.slot_for(header.contract, header.name, || envelope.future_slot());
         self.service.slot.activity.begin(self.service.slots_in_use[at].label);
         at
