@@ -9,7 +9,6 @@ pub(crate) mod envelope;
 pub(crate) mod environment;
 pub(crate) mod exits;
 pub(crate) mod extension;
-#[cfg(feature = "network")]
 mod far_watch;
 pub(crate) mod incarnation;
 pub(crate) mod long_operation;

@@ -84,20 +84,15 @@
 //!
 //! | feature | brings |
 //! | --- | --- |
-//! | `network` | what takes more than one node: [`Network`], [`Link`] and [`Cable`], networks in memory and over [media](medium) of an application's own; [services](manual::services); [names of the whole robot](manual::names); what a node says of networks, links, routes and sessions ([`NetworkSnapshot`], [`Node::connected`]), and [`Node::isolate`] |
-//! | `ip`, `unix`, `serial`, `can`, `slcan` | one medium each, and `network` |
+//! | `ip`, `unix`, `serial`, `can`, `slcan` | one medium each; networks in memory and over [media](medium) of an application's own need none |
 //! | `unix` | [`NodeBuilder::inspection_socket`] too, at which `blastema monitor` looks |
 //! | `device` | [small devices](manual::devices), and `serial`; with `ip` also those on UDP |
 //! | `process` | [programs in any language](ProcessSpec) as components |
 //! | `trees` | [behaviour trees](manual::trees) as components |
 //! | `journal` | `journal` and `NodeBuilder::journal`, by SQLite |
 //!
-//! The default is all media, `device` and `process`. A robot of one process needs none of it: with
-//! `default-features = false` no code of a network is compiled. `network` (its ciphers, `ring`) and
-//! `journal` need a C compiler.
-
-// What the other modules have for the network alone is not used without it.
-#![cfg_attr(not(feature = "network"), expect(dead_code))]
+//! The default is all media, `device` and `process`. A robot of one process needs none of it. The
+//! ciphers of networks (`ring`) and `journal` need a C compiler.
 
 // The derives write `::blastema`, also where they are used within it.
 #[cfg(test)]
@@ -111,13 +106,11 @@ mod component;
 mod condition;
 #[cfg(feature = "device")]
 mod device;
-#[cfg(feature = "network")]
 mod directory;
 mod fault_chain;
 mod host;
 mod liveness;
 mod messaging;
-#[cfg(feature = "network")]
 mod net;
 mod node;
 mod parameters;
@@ -126,7 +119,6 @@ mod port;
 mod process;
 mod registry;
 mod runtime;
-#[cfg(feature = "network")]
 mod service;
 mod settings;
 mod sync;
@@ -141,7 +133,6 @@ pub mod plain;
 pub mod trees;
 
 /// For programs that make or show keys, as `blastema keys` does.
-#[cfg(feature = "network")]
 pub mod keys {
     pub use crate::platform::key_files::{folder_of, read_public, read_secret};
     pub use crate::platform::random_bytes;
@@ -192,7 +183,6 @@ pub use blastema_core::{
     DeliveryError, Incarnation, NodeName, ObjectAddress, ObjectName, Outcome, RetryPolicy,
     TrafficClass,
 };
-#[cfg(feature = "network")]
 pub use service::{
     OnPartition, Role, ServiceRef, ServiceRow, ServiceSpec, ServiceState, StandbyKind, Stateful,
 };
@@ -227,34 +217,23 @@ pub use crate::platform::processes::{launch_processes, launch_processes_by};
 pub use crate::process::{ProcessSpec, SupervisedProcess};
 
 // Names of the whole robot.
-#[cfg(feature = "network")]
 pub use crate::directory::{
     Claim, ClaimError, ClaimPolicy, ClaimRefused, ClaimRow, ClaimState, Holder, NameHeld,
     NameWatch, NodeRow,
 };
 
 // Nodes, their trees and their networks.
-#[cfg(feature = "network")]
 pub use crate::net::operator::{KeyStatus, NetworkSeal, OrderError};
-#[cfg(feature = "network")]
 pub use crate::net::{RosterRow, keys::KeysPermissions};
-#[cfg(feature = "network")]
 pub use crate::registry::access::AccessRefusal;
-#[cfg(feature = "network")]
 pub use blastema_contract::link::LinkRow;
-#[cfg(feature = "network")]
 pub use blastema_contract::session::SessionRow;
 pub use blastema_contract::supervisor::SupervisionTree;
-#[cfg(feature = "network")]
 pub use blastema_contract::transport::{TransmitBacklog, TransportCounters};
-#[cfg(feature = "network")]
 pub use blastema_core::net::session::{SessionCounters, SessionState, SessionStatus};
-#[cfg(feature = "network")]
 pub use blastema_core::net::{ByteRate, LinkState, LinkTraffic, Refusals, Route};
 pub use blastema_macros::main;
-#[cfg(feature = "network")]
 pub use blastema_transports::endpoint::EndpointError;
-#[cfg(feature = "network")]
 pub use node::{
     Cable, Direction, Impairment, IsolateError, Link, LinkName, MediumKind, MediumRow,
     MemoryMedium, Network, NetworkRow, NetworkSnapshot, NotReady, RouteRow,
@@ -275,7 +254,6 @@ pub use blastema_core::detection::{
 pub use blastema_core::{Fault, FaultId, FaultKind, FaultLocation, Instant, Lifecycle, Severity};
 
 /// Types to implement a medium of one's own, which is passed to [`Network::own`].
-#[cfg(feature = "network")]
 pub mod medium {
     pub use blastema_contract::transport::MediumAddress;
     pub use blastema_transports::Reach;

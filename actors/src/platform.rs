@@ -4,7 +4,6 @@
 pub(crate) mod alarm;
 pub(crate) mod errors;
 pub(crate) mod file_lock;
-#[cfg(feature = "network")]
 pub(crate) mod key_files;
 #[cfg(feature = "process")]
 pub(crate) mod launcher;
@@ -21,6 +20,7 @@ pub(crate) mod systemd;
 #[cfg_attr(not(feature = "journal"), allow(unreachable_pub, reason = "the journal's times"))]
 pub(crate) mod wall_time;
 pub(crate) mod watchdog_device;
+pub(crate) mod write_queue;
 
 #[cfg(feature = "process")]
 pub use output_lines::read_lines;
@@ -195,7 +195,6 @@ pub(crate) fn random_seed() -> u64 {
 ///
 /// # Errors
 /// The system gives none, as some do in the first seconds after they were switched on.
-#[cfg(feature = "network")]
 pub fn random_bytes() -> io::Result<zeroize::Zeroizing<[u8; 32]>> {
     let mut bytes = zeroize::Zeroizing::new([0; 32]);
     let mut filled = 0;
@@ -210,7 +209,6 @@ pub fn random_bytes() -> io::Result<zeroize::Zeroizing<[u8; 32]>> {
 }
 
 /// Whether this processor has instructions for AES.
-#[cfg(feature = "network")]
 pub(crate) fn has_aes() -> bool {
     #[cfg(target_arch = "x86_64")]
     return std::arch::is_x86_feature_detected!("aes");
@@ -265,7 +263,6 @@ pub(crate) fn scheduled_arbiter(
 }
 
 /// How many more files this process may open, where the system says so.
-#[cfg(feature = "network")]
 pub(crate) fn files_left() -> Option<usize> {
     let most = rustix::process::getrlimit(rustix::process::Resource::Nofile).current?;
     let open = std::fs::read_dir("/proc/self/fd").ok()?.count();

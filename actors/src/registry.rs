@@ -7,9 +7,7 @@ pub(crate) mod access;
 pub(crate) mod encoding;
 pub(crate) mod lookup;
 pub(crate) mod ports;
-#[cfg(feature = "network")]
 pub(crate) mod remote;
-#[cfg(feature = "network")]
 pub(crate) mod remote_watch;
 pub(crate) mod service_fn;
 
@@ -17,16 +15,14 @@ use crate::messaging::death_watch::{Deaths, Down, DownReason, NumberedEnd, Watch
 use crate::messaging::sender::Sender;
 use crate::platform::lock;
 use access::AccessControl;
-#[cfg(feature = "network")]
 use blastema_core::net::NodeId;
 use blastema_core::sorted::SortedMap;
 use blastema_core::{
     Contract, ContractIdentity, DeliveryError, FaultKind, GatherBuffer, Incarnation, Instant,
-    MessageId, NodeName, ObjectAddress, ObjectName, PeerIdentity, suggestion,
+    MessageId, NodeName, ObjectAddress, ObjectName, suggestion,
 };
 use bytes::Bytes;
 use ports::{Connections, DeclaredPort};
-#[cfg(feature = "network")]
 use remote::RemoteNames;
 use std::any::{Any, type_name};
 use std::future::Future;
@@ -48,7 +44,6 @@ pub(crate) struct MessageMetadata {
     /// A request is not to be begun after this.
     pub(crate) until: Option<Instant>,
     /// The node that it comes from, if it is another.
-    #[cfg(feature = "network")]
     pub(crate) from: Option<NodeId>,
 }
 
@@ -183,7 +178,6 @@ struct Inner {
     node: Option<NodeName>,
     /// The node was shut down.
     is_shut_down: bool,
-    #[cfg(feature = "network")]
     remote: RemoteNames,
     deaths: Deaths,
     access: AccessControl,
@@ -334,7 +328,6 @@ impl Registry {
         if let Some(why) = inner.refusal() {
             return Err(why);
         }
-        #[cfg(feature = "network")]
         if let Some(way) = inner.way_elsewhere(name)? {
             drop(inner);
             return Ok(way.sender(self));

@@ -4,7 +4,6 @@
 //! The manual's page on limits shows the same to users. A setting of a session, a link or the
 //! supervision has its default in the core, beside the machine that goes by it.
 
-#[cfg(feature = "network")]
 pub(crate) mod network;
 
 use std::fmt::Debug;

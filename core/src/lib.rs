@@ -3,9 +3,6 @@
 //! Nothing here performs IO, reads a clock or knows an actor. Time, randomness and identity are
 //! arguments; collections iterate in a fixed order, so that one seed gives one run, bit for bit.
 
-// What the network alone uses of other modules is not used without it.
-#![cfg_attr(not(feature = "network"), expect(dead_code))]
-
 mod backoff;
 mod hash;
 mod sliding_window;
@@ -15,25 +12,20 @@ pub mod connection;
 pub mod contract;
 pub mod delivery;
 pub mod detection;
-#[cfg(feature = "network")]
 pub mod directory;
 pub mod fault;
 pub mod incarnation;
 pub mod lease;
 pub mod lifecycle;
 pub mod machine;
-#[cfg(feature = "network")]
 pub mod machine_set;
-#[cfg(feature = "network")]
 pub mod medium;
 pub mod name;
-#[cfg(feature = "network")]
 pub mod net;
 pub mod parameters;
 pub mod port;
 pub mod random;
 pub mod recovery;
-#[cfg(feature = "network")]
 pub mod service;
 pub mod sorted;
 pub mod suggestion;

@@ -617,7 +617,7 @@ impl Actuator {
     }
 }
 
-#[cfg(all(test, feature = "network"))]
+#[cfg(test)]
 mod tests {
     use super::*;
     use blastema_core::NodeName;

@@ -2,13 +2,10 @@
 
 use crate::arbiter::heartbeat;
 use crate::component::cell::ComponentCell;
-#[cfg(feature = "network")]
 use crate::component::far_watch::FarWatches;
 use crate::component::incarnation::{IncarnationState, TimerId, TimerMode};
 use crate::component::long_operation::LongOperation;
 use crate::component::{Component, Failure, Handle};
-#[cfg(not(feature = "network"))]
-use crate::messaging::death_watch::DownReason;
 use crate::messaging::death_watch::{Down, Watcher};
 use crate::messaging::sender::{DetachedSender, Sender};
 use crate::messaging::sink::{MessageSink, Redirected};
@@ -49,19 +46,12 @@ pub struct Context<C: Component> {
     /// port's name: made once.
     pub(crate) handles: RefCell<Vec<KeptHandle>>,
     /// Boxed, since few components watch others.
-    #[cfg(feature = "network")]
     pub(super) far_watches: Option<Box<FarWatches>>,
 }
 
 impl<C: Component> Context<C> {
     pub(crate) fn new(cell: Arc<ComponentCell<C>>, state: Rc<IncarnationState<C>>) -> Self {
-        Context {
-            cell,
-            state,
-            handles: RefCell::default(),
-            #[cfg(feature = "network")]
-            far_watches: None,
-        }
+        Context { cell, state, handles: RefCell::default(), far_watches: None }
     }
 
     /// The component's name.
@@ -391,14 +381,7 @@ impl<C: Component> Context<C> {
                 let watcher = Watcher { who, incarnation, outlasts_object: true, tell };
                 registry.watch(object, watcher);
             }
-            #[cfg(feature = "network")]
             Some(node) => self.watch_elsewhere(ObjectAddress { node, object }, Box::new(tell)),
-            #[cfg(not(feature = "network"))]
-            Some(node) => {
-                let reason = DeliveryError::Unreachable { node: node.to_string() }.to_string();
-                let (node, ending) = (Some(node), DownReason::NodeLost { reason });
-                tell(Down { object, node, incarnation: Incarnation(0), ending });
-            }
         }
         Ok(())
     }

@@ -8,7 +8,6 @@
 //! What stands is measured once: a topic by the events that arrive, a lease by its renewals, a link
 //! by its hellos. Only the round trip to a node is asked for, and only where a latency is limited.
 
-#[cfg(feature = "network")]
 mod echo;
 pub(crate) mod heartbeat;
 mod source;

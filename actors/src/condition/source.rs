@@ -1,31 +1,21 @@
 //! Where the readings of a channel come from.
 
-#[cfg(feature = "network")]
 use super::echo::RoundTrips;
 use super::spec::{ChannelSpec, ConnectedChannel};
 use crate::actuator::ActuatorTable;
-#[cfg(feature = "network")]
 use crate::directory::DirectoryTable;
-#[cfg(feature = "network")]
 use crate::net::NetHandle;
 use crate::platform::lock;
 use crate::registry::Registry;
 use crate::runtime::reports::FaultReports;
 use crate::topic::Topics;
-#[cfg(feature = "network")]
 use blastema_contract::link::LinkRow;
-#[cfg(feature = "network")]
 use blastema_contract::session::SessionRow;
-#[cfg(feature = "network")]
 use blastema_core::NodeName;
 use blastema_core::connection::{ChannelReading, TopicEstimator};
-#[cfg(feature = "network")]
 use blastema_core::connection::{Latency, LossEstimator};
-#[cfg(feature = "network")]
 use blastema_core::directory::DirectoryKey;
-#[cfg(feature = "network")]
 use blastema_core::net::LinkState;
-#[cfg(feature = "network")]
 use blastema_core::suggestion::nearest;
 use blastema_core::{Instant, ObjectName};
 use std::any::Any;
@@ -38,12 +28,9 @@ pub(crate) struct ConditionWiring {
     pub(crate) topics: Topics,
     pub(crate) actuators: ActuatorTable,
     pub(crate) registry: Registry,
-    #[cfg(feature = "network")]
     pub(crate) directory: DirectoryTable,
-    #[cfg(feature = "network")]
     pub(crate) net: Option<NetHandle>,
     /// The links that a condition may name; what begins as one that ends at `/` may come by itself.
-    #[cfg(feature = "network")]
     pub(crate) links: Vec<String>,
     /// How long a channel may be silent over the media of the node; `None` without any.
     pub(crate) timeout: Option<Duration>,
@@ -57,12 +44,10 @@ pub(super) struct ChannelSource {
     /// What is known of a topic, and what measures it until this is dropped.
     measured: Arc<Mutex<TopicEstimator>>,
     _tapped: Option<Box<dyn Any + Send>>,
-    #[cfg(feature = "network")]
     network: NetworkSource,
 }
 
 /// What was read of other nodes.
-#[cfg(feature = "network")]
 #[derive(Default)]
 struct NetworkSource {
     /// The fastest round trip of late to the slowest node that published.
@@ -75,16 +60,12 @@ struct NetworkSource {
 /// What is read for all channels together.
 #[derive(Default)]
 pub(super) struct SharedReadings {
-    #[cfg(feature = "network")]
     pub(super) round_trips: RoundTrips,
-    #[cfg(feature = "network")]
     pub(super) rows: Arc<Mutex<NetworkRows>>,
-    #[cfg(feature = "network")]
     pub(super) read_at: Instant,
 }
 
 /// The network's rows, as they were read last.
-#[cfg(feature = "network")]
 #[derive(Default)]
 pub(super) struct NetworkRows {
     links: Vec<LinkRow>,
@@ -94,7 +75,6 @@ pub(super) struct NetworkRows {
 }
 
 /// How often links and sessions are asked for their rows.
-#[cfg(feature = "network")]
 const ROWS_INTERVAL: Duration = Duration::from_millis(100);
 
 impl ConnectedChannel {
@@ -111,7 +91,6 @@ impl ConnectedChannel {
                 let tapped = (events.listen)(node.0, topic, listener, measured);
                 tapped.map(Some).map_err(|why| why.to_string())
             }
-            #[cfg(feature = "network")]
             ConnectedChannel::Node(name) | ConnectedChannel::Session(name)
                 if node.1.elsewhere(name.clone()).is_none() =>
             {
@@ -130,7 +109,6 @@ impl ChannelSource {
         wiring: &ConditionWiring,
         listener: &ObjectName,
     ) -> Result<Self, String> {
-        #[cfg(feature = "network")]
         if let ConnectedChannel::Link(link) = channel {
             wiring.check_link(link)?;
         }
@@ -143,13 +121,11 @@ impl ChannelSource {
             last: ChannelReading::default(),
             measured,
             _tapped: tapped,
-            #[cfg(feature = "network")]
             network: NetworkSource::default(),
         })
     }
 
     /// Whether the rows of links and sessions must be read for it.
-    #[cfg(feature = "network")]
     pub(super) fn needs_rows(&self) -> bool {
         match &self.channel {
             ConnectedChannel::Link(_) => true,
@@ -174,9 +150,6 @@ impl ChannelSource {
                 (last.arrived, last.heard_at) = (measured.arrived(), measured.heard_at());
                 last.jitter = last.heard_at.map(|_| measured.jitter());
                 last.loss_permille = measured.loss_permille();
-                #[cfg(not(feature = "network"))]
-                let (trip, _) = (Some(Duration::ZERO), (topic, events, shared, now));
-                #[cfg(feature = "network")]
                 let trip = match self.spec.wants_latency() {
                     true => self.network.topic_trip((topic, events.contract), wiring, shared, now),
                     false => None,
@@ -195,9 +168,6 @@ impl ChannelSource {
                     return self.last;
                 };
                 self.last.heard_at = Some(now);
-                #[cfg(not(feature = "network"))]
-                let _ = commander;
-                #[cfg(feature = "network")]
                 if self.spec.wants_latency() {
                     let node = commander.name.split(':').next().map(NodeName::new);
                     let node = node.and_then(Result::ok);
@@ -208,7 +178,6 @@ impl ChannelSource {
                     };
                 }
             }
-            #[cfg(feature = "network")]
             ConnectedChannel::Node(node) | ConnectedChannel::Session(node) => {
                 let is_session = matches!(self.channel, ConnectedChannel::Session(_));
                 let is_there = wiring.net.as_ref().is_some_and(|net| match is_session {
@@ -233,7 +202,6 @@ impl ChannelSource {
                     (*counted, self.last.loss_permille) = (now, Some(loss.permille()));
                 }
             }
-            #[cfg(feature = "network")]
             ConnectedChannel::Link(name) => {
                 let last = &mut self.last;
                 let rows = lock(&shared.rows);
@@ -255,7 +223,6 @@ impl ChannelSource {
     }
 }
 
-#[cfg(feature = "network")]
 impl NetworkSource {
     /// The fastest round trip of late to the slowest node that publishes on the topic. It stays
     /// when that node has left. Where no node did, events come from this one.
@@ -280,7 +247,6 @@ impl NetworkSource {
     }
 }
 
-#[cfg(feature = "network")]
 impl ConditionWiring {
     fn check_link(&self, name: &str) -> Result<(), String> {
         let is_known =
@@ -298,7 +264,6 @@ impl ConditionWiring {
     }
 }
 
-#[cfg(feature = "network")]
 impl SharedReadings {
     fn latency_to(
         &mut self,

@@ -4,7 +4,6 @@ use super::heartbeat::Heartbeat;
 use crate::component::envelope::Times;
 use crate::platform::{lock, stamp_us};
 use crate::topic::Topics;
-#[cfg(feature = "network")]
 use blastema_core::NodeName;
 use blastema_core::connection::{Combination, ConnectionLimits, ConnectionRules, Presence};
 use blastema_core::connection::{TopicArrival, TopicEstimator};
@@ -54,11 +53,8 @@ pub(super) struct ChannelSpec {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum ConnectedChannel {
     Topic(ObjectName, ConnectedEvents),
-    #[cfg(feature = "network")]
     Node(NodeName),
-    #[cfg(feature = "network")]
     Session(NodeName),
-    #[cfg(feature = "network")]
     Link(String),
     Commander(ObjectName),
 }
@@ -113,11 +109,8 @@ impl fmt::Display for ConnectedChannel {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             ConnectedChannel::Topic(topic, _) => topic.fmt(f),
-            #[cfg(feature = "network")]
             ConnectedChannel::Node(node) => write!(f, "node {node}"),
-            #[cfg(feature = "network")]
             ConnectedChannel::Session(node) => write!(f, "session with {node}"),
-            #[cfg(feature = "network")]
             ConnectedChannel::Link(link) => write!(f, "link {link}"),
             ConnectedChannel::Commander(actuator) => write!(f, "commander of {actuator}"),
         }
@@ -143,11 +136,9 @@ impl ChannelSpec {
                 &["max_latency", "max_jitter", "max_loss", "rate"]
             }
             ConnectedChannel::Topic(..) => &["max_latency", "max_jitter", "rate"],
-            #[cfg(feature = "network")]
             ConnectedChannel::Node(_) | ConnectedChannel::Session(_) => {
                 &["max_latency", "max_loss"]
             }
-            #[cfg(feature = "network")]
             ConnectedChannel::Link(_) => &["max_latency", "max_jitter", "max_loss"],
             ConnectedChannel::Commander(_) => &["max_latency"],
         };
@@ -205,19 +196,16 @@ impl Connected {
     }
 
     /// A path leads to this node: it was discovered, has not left, and is not isolated.
-    #[cfg(feature = "network")]
     pub fn node(node: &str) -> Self {
         ChannelSpec::of(NodeName::new(node).map(ConnectedChannel::Node))
     }
 
     /// A session with this node is open, so that messages reach it.
-    #[cfg(feature = "network")]
     pub fn session(node: &str) -> Self {
         ChannelSpec::of(NodeName::new(node).map(ConnectedChannel::Session))
     }
 
     /// This link is up. Its name is the one that [`LinkRow`](crate::LinkRow) shows.
-    #[cfg(feature = "network")]
     pub fn link(link: &str) -> Self {
         ChannelSpec::of(Ok(ConnectedChannel::Link(link.to_owned())))
     }

@@ -1,6 +1,5 @@
 //! The conditions of one node: drives their machines, and reports their changes.
 
-#[cfg(feature = "network")]
 use super::echo;
 use super::source::{ChannelSource, ConditionWiring, SharedReadings};
 use super::spec::{ChannelSpec, Connected, ConnectedChannel, LOOK_INTERVAL, TIMEOUT};
@@ -108,7 +107,6 @@ impl Conditions {
         guardian: &Guardian,
         arbiter: Option<&ArbiterHandle>,
     ) -> Recipient<AreYouAlive> {
-        #[cfg(feature = "network")]
         echo::serve(&wiring.registry);
         // A table is started once, with its node.
         let _ = self.0.wiring.set(wiring);
@@ -208,7 +206,6 @@ impl Conditions {
         let wiring = self.0.wiring.get()?;
         let mut table = self.lock();
         let ConditionTable { entries, shared, .. } = &mut *table;
-        #[cfg(feature = "network")]
         if entries.values().flat_map(|entry| &entry.sources).any(ChannelSource::needs_rows) {
             shared.read_rows(wiring, now);
         }

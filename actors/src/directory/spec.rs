@@ -77,7 +77,7 @@ impl CellListener for Claims {
 impl<C: Component> ChildSpec<C> {
     /// Claims a [name of the whole robot](crate::manual::names) whenever an incarnation is at work,
     /// and gives it back when that ends and none follows on the spot. Where another holds it, the
-    /// component goes without, which is a fault, or stands by. Needs the feature `network`.
+    /// component goes without, which is a fault, or stands by.
     pub fn claim(self, name: &str, policy: ClaimPolicy) -> Self {
         let claimed = (name.to_owned(), policy);
         self.with_ports(move |ports| ports.feature::<ClaimedNames>().0.push(claimed))

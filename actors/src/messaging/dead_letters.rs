@@ -1,11 +1,8 @@
 //! The dead-letter log: undelivered messages, readable from every thread.
 
 use crate::messaging::message_log;
-use crate::platform;
 use crate::platform::lock;
-use blastema_core::delivery::dead_letters::{
-    DeadLetter, DeadLetterCount, DeadLetterLimits, DeadLetters, DeadReason,
-};
+use blastema_core::delivery::dead_letters::{DeadLetterCount, DeadLetters, DeadReason};
 use blastema_core::{DeliveryError, NodeName, ObjectName};
 use std::borrow::Cow;
 use std::fmt;
@@ -33,11 +30,6 @@ impl fmt::Debug for DeadLetterLog {
 }
 
 impl DeadLetterLog {
-    /// An empty log with these limits.
-    pub fn new(limits: DeadLetterLimits) -> Self {
-        DeadLetterLog(Arc::new(Mutex::new(DeadLetters::new(limits))))
-    }
-
     /// Takes note of one message to an object of this node that was not delivered.
     pub(crate) fn record(
         &self,
@@ -67,9 +59,9 @@ impl DeadLetterLog {
         contract: impl Into<Cow<'static, str>>,
         (reason, many): (DeadReason, u64),
     ) {
-        let (object, contract, at) = (object.clone(), contract.into(), platform::now());
-        message_log::lost(&contract, &object, reason, many);
-        lock(&self.0).handle_many(DeadLetter { node, object, contract, reason, at }, many);
+        let contract = contract.into();
+        message_log::lost(&contract, object, reason, many);
+        lock(&self.0).handle((node, object.clone(), contract, reason), many);
     }
 
     /// How many messages were not delivered.
@@ -92,10 +84,5 @@ impl DeadLetterLog {
     pub(crate) fn snapshot(&self) -> DeadLetterSnapshot {
         let letters = lock(&self.0);
         DeadLetterSnapshot { counts: letters.counts().collect(), beyond: letters.beyond() }
-    }
-
-    /// The latest letters, the oldest of them first.
-    pub fn latest(&self) -> Vec<DeadLetter> {
-        lock(&self.0).latest().cloned().collect()
     }
 }

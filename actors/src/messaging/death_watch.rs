@@ -97,14 +97,12 @@ pub(crate) struct Watcher {
 static ENDS: AtomicU64 = AtomicU64::new(0);
 
 /// The number of the last end of all. Later ends have higher numbers.
-#[cfg(feature = "network")]
 pub(crate) fn last_end_number() -> u64 {
     ENDS.load(SeqCst)
 }
 
 /// The last end of an object, with its number among the ends of all objects.
 #[derive(Clone, Debug)]
-#[cfg_attr(not(feature = "network"), expect(dead_code, reason = "only other nodes ask for it"))]
 pub(crate) struct NumberedEnd {
     pub(crate) number: u64,
     pub(crate) down: Down,

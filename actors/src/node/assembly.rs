@@ -3,11 +3,9 @@
 mod chain;
 #[cfg(feature = "journal")]
 mod journal;
-#[cfg(feature = "network")]
 mod networks;
 
 pub(super) use self::chain::FaultChain;
-#[cfg(feature = "network")]
 pub(super) use self::networks::Networks;
 
 use self::chain::{callbacks_of, make_chain, reports};
@@ -21,7 +19,6 @@ use super::inspection::InspectionActor;
 #[cfg(feature = "unix")]
 use super::inspection::StartInspection;
 use super::lost_communication::LostCommunicationPolicy;
-#[cfg(feature = "network")]
 use super::network::hosts::Hosts;
 use super::safety::{EndCause, OutputState, SignalWait, is_waited_for};
 use super::tree::{ComponentFacts, PreparedTree, SupervisorSpec};
@@ -33,7 +30,6 @@ use crate::component::environment::ComponentEnvironment;
 use crate::component::extension::Extensions;
 use crate::component::spec_error::SpecError;
 use crate::condition::{ConditionWiring, Conditions};
-#[cfg(feature = "network")]
 use crate::directory::DirectoryTable;
 use crate::fault_chain::strategy::StrategyTable;
 use crate::fault_chain::supervisor::SupervisorChild;
@@ -45,7 +41,6 @@ use crate::platform::file_lock::{FileLock, LockError, without_links};
 use crate::platform::file_lock::{PREDECESSOR_TIMEOUT, released_here};
 use crate::platform::panics;
 use crate::platform::scheduling;
-#[cfg(feature = "network")]
 use crate::service::Roster;
 use crate::topic::Topics;
 #[cfg(feature = "trees")]
@@ -156,17 +151,12 @@ impl NodeBuilder {
         }
         let node =
             NodeName::new(&self.name).map_err(StartError::name_of("the name of the node"))?;
-        #[cfg(feature = "network")]
         self.networks.check(&node)?;
         for policy in &self.policies {
             // One that is this node is refused with the policies.
             let other = policy.commander_node()?.filter(|commander| *commander != node);
             let Some(commander) = other else { continue };
-            #[cfg(feature = "network")]
             let known = self.networks.check_commander(&commander);
-            #[cfg(not(feature = "network"))]
-            let known =
-                Err(format!("its commander {commander} cannot reach a node without networks"));
             known.map_err(|reason| policy.refused(PolicyPart::Commander, reason))?;
         }
         Ok(node)
@@ -175,7 +165,6 @@ impl NodeBuilder {
 
 /// Finds what is wrong with the networks, or else the tree, or else the rest of the description.
 fn check(mut builder: NodeBuilder) -> Result<Vec<StartError>, Vec<StartError>> {
-    #[cfg(feature = "network")]
     {
         builder.networks.hosts = Hosts::Numbered(Default::default());
     }
@@ -204,16 +193,12 @@ async fn start(
     if builder.locks_memory && !platform::clock_stands() {
         scheduling::lock_memory()?;
     }
-    #[cfg(feature = "network")]
     let incarnation = builder.networks.begin_incarnation();
-    #[cfg(not(feature = "network"))]
-    let incarnation = platform::node_incarnation();
     let mut assembly = NodeAssembly::begin(&mut builder, (node, incarnation))?;
     #[cfg(feature = "journal")]
     assembly.keep_journal(builder.journal).await?;
     assembly.keep_variables(builder.kept_in).await?;
     assembly.read_parameters(builder.parameters)?;
-    #[cfg(feature = "network")]
     assembly.start_networks(&mut builder.networks)?;
     let preparation = assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies);
     let (root, tree, dependencies) = preparation.map_err(first)?;
@@ -223,7 +208,6 @@ async fn start(
     let mut refused = assembly.connect_ports(&builder.policies, &builder.connections);
     refused.next().map_or(Ok(()), Err)?;
     drop(refused);
-    #[cfg(feature = "network")]
     assembly.carry_services(builder.networks.services)?;
     assembly.keep_leases();
     assembly.keep_conditions();
@@ -238,7 +222,6 @@ async fn start(
     #[cfg(feature = "unix")]
     let inspection = assembly.make_inspection(builder.shown_at).await;
     assembly.enrol_all(tree).await?;
-    #[cfg(feature = "network")]
     assembly.declare_insecure_networks();
     assembly.start_sampler(builder.grace)?;
     assembly.watch_chain(builder.process_watchdogs)?;
@@ -298,7 +281,6 @@ impl NodeAssembly {
             incarnation,
             environment: Arc::new(environment),
             chain,
-            #[cfg(feature = "network")]
             networks: None,
             tree,
             systemd: None,
@@ -394,7 +376,6 @@ impl NodeAssembly {
 
     fn keep_conditions(&mut self) {
         let (name, Shared { chain, environment, .. }) = (named("conditions"), &self.node);
-        #[cfg(feature = "network")]
         let (net, timeout) = match &self.node.networks {
             Some(networks) => (Some(networks.handle.clone()), Some(networks.silence)),
             None => (None, None),
@@ -404,16 +385,10 @@ impl NodeAssembly {
             topics: environment.topics().clone(),
             actuators: environment.actuators().clone(),
             registry: environment.registry.clone(),
-            #[cfg(feature = "network")]
             directory: environment.directory().clone(),
-            #[cfg(feature = "network")]
             net,
-            #[cfg(feature = "network")]
             links: self.node.networks.iter().flat_map(|networks| networks.links.clone()).collect(),
-            #[cfg(feature = "network")]
             timeout,
-            #[cfg(not(feature = "network"))]
-            timeout: None,
         };
         let arbiter = chain.arbiter.as_ref();
         let pings = environment.conditions().start(wiring, name.clone(), &chain.guardian, arbiter);
@@ -529,7 +504,6 @@ impl NodeAssembly {
         self.node.environment.declare_complaints();
         let node = Node(Arc::new(self.node));
         node.0.policies.iter().for_each(|policy| policy.attach(&node));
-        #[cfg(feature = "network")]
         {
             order::serve_operators(&node);
             node.stop_if_displaced();
@@ -560,7 +534,6 @@ async fn start_root(
     }
     match started {
         Ok(Ok(())) => {
-            #[cfg(feature = "network")]
             node.0.networks.iter().for_each(|networks| networks.handle.announce());
             node.0.tell_systemd("READY=1");
             Ok(node)
@@ -584,7 +557,6 @@ pub(crate) fn with_features(
         .with(Conditions::default());
     #[cfg(feature = "trees")]
     let extensions = extensions.with(TreeTable::default());
-    #[cfg(feature = "network")]
     let extensions = {
         let directory = DirectoryTable::default();
         extensions.with(Roster::new(directory.clone())).with(directory)

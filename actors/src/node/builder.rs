@@ -1,12 +1,10 @@
 //! How a node is described.
 
-#[cfg(feature = "network")]
 mod networks;
 
 use super::controller::NodeState;
 use super::faults::{FaultEvents, FaultListener};
 use super::lost_communication::LostCommunicationPolicy;
-#[cfg(feature = "network")]
 use super::network::description::NetworkDescription;
 use super::tree::SupervisorSpec;
 use super::watchdogs::ProcessWatchdogs;
@@ -55,7 +53,6 @@ pub struct NodeBuilder {
     pub(super) callback_limit: Duration,
     pub(super) process_watchdogs: ProcessWatchdogs,
     pub(super) handles_signals: bool,
-    #[cfg(feature = "network")]
     pub(super) networks: NetworkDescription,
     pub(super) policies: Vec<LostCommunicationPolicy>,
     pub(super) listeners: Vec<FaultListener>,
@@ -94,7 +91,6 @@ impl NodeBuilder {
             callback_limit: CALLBACK_LIMIT.default,
             process_watchdogs: ProcessWatchdogs::default(),
             handles_signals: true,
-            #[cfg(feature = "network")]
             networks: NetworkDescription::default(),
             policies: Vec::new(),
             listeners: Vec::new(),

@@ -1,7 +1,6 @@
 //! Why a node does not start.
 
 use crate::component::spec_error::SpecError;
-#[cfg(feature = "network")]
 use crate::service::ServiceSpecError;
 use crate::settings::SettingError;
 use blastema_core::NameError;
@@ -9,9 +8,7 @@ use blastema_core::detection::RegistrationError;
 use blastema_core::detection::dependencies::DependencyError;
 use blastema_core::port::ConnectError;
 use blastema_core::recovery::PlanError;
-#[cfg(feature = "network")]
 use blastema_core::{NodeName, ObjectName};
-#[cfg(feature = "network")]
 use blastema_transports::EndpointError;
 use std::path::PathBuf;
 use std::{fmt, io};
@@ -61,7 +58,6 @@ pub enum StartError {
         reason: String,
     },
     /// The text of a network's endpoint, or of a neighbour's address there, is wrong.
-    #[cfg(feature = "network")]
     #[error("network {network}: {error}")]
     Endpoint {
         /// The name of the network.
@@ -72,7 +68,6 @@ pub enum StartError {
         error: EndpointError,
     },
     /// A setting of a link makes no sense.
-    #[cfg(feature = "network")]
     #[error("network {network}: {setting} of the link to {neighbour} is {value}: {cure}")]
     Link {
         /// The name of the network.
@@ -87,11 +82,9 @@ pub enum StartError {
         cure: &'static str,
     },
     /// The networks cannot be used together.
-    #[cfg(feature = "network")]
     #[error("{0}")]
     Network(String),
     /// The file of the networks, or what overrides it, is wrong.
-    #[cfg(feature = "network")]
     #[error("networks{}: {reason}", of_file(.file.as_ref()))]
     NetworkFile {
         /// The file, where there is one.
@@ -101,12 +94,10 @@ pub enum StartError {
     },
     /// The keys of the node cannot be used: the file of its key or the roster beside it is missing,
     /// wrong, another's, or open to others.
-    #[cfg(feature = "network")]
     #[error("{0}")]
     Keys(String),
     /// A network leaves this computer, the node has no keys, and the network was not declared
     /// insecure.
-    #[cfg(feature = "network")]
     #[error(
         "network {network} leaves this computer ({medium}), and the node has no keys: make them with \
          `blastema keys new ROBOT NODE…` and write `.keys(\"FILE\")` at the node; or write \
@@ -120,7 +111,6 @@ pub enum StartError {
         medium: String,
     },
     /// A service has a mistake in its nodes, or its component cannot be built.
-    #[cfg(feature = "network")]
     #[error("service {name}: {reason}")]
     Service {
         /// The name of the service.
@@ -252,7 +242,6 @@ impl From<SettingError> for StartError {
     }
 }
 
-#[cfg(feature = "network")]
 impl From<ServiceSpecError> for StartError {
     fn from(error: ServiceSpecError) -> Self {
         match error {

@@ -24,9 +24,7 @@ mod health;
 #[cfg(feature = "unix")]
 pub(crate) mod inspection;
 mod lost_communication;
-#[cfg(feature = "network")]
 mod network;
-#[cfg(feature = "network")]
 mod network_rows;
 mod order;
 mod safety;
@@ -45,14 +43,11 @@ pub use health::{DegradedPart, FaultCounts, LastRecovery, NodeHealth};
 pub use lost_communication::{
     AcknowledgeError, LostCommunicationPolicy, LostCommunicationRow, Rung,
 };
-#[cfg(feature = "network")]
 pub use network::{
     Cable, Direction, Impairment, IsolateError, Link, MediumKind, MemoryMedium, Network, NotReady,
 };
-#[cfg(feature = "network")]
 pub use network_rows::{LinkName, MediumRow, NetworkRow, RouteRow};
 pub use order::{ComponentOrder, OrderReply, OrderRow, OrderVerb};
-#[cfg(feature = "network")]
 pub use snapshot::NetworkSnapshot;
 pub use snapshot::NodeSnapshot;
 pub use tree::{Subtree, SupervisorSpec};
@@ -78,7 +73,6 @@ use crate::platform::systemd::Systemd;
 use crate::topic::{Publisher, TopicRow};
 use crate::variable::{self, VariableRef};
 use assembly::FaultChain;
-#[cfg(feature = "network")]
 use assembly::Networks;
 use blastema_contract::detector::ReadRecord;
 use blastema_contract::monitor::ReadTable;
@@ -104,7 +98,6 @@ use tracing::{info, warn};
 /// How long the end of a node waits until another one may have its files and its socket.
 const RELEASE_TIMEOUT: Duration = Duration::from_secs(2);
 /// The exit status of a process whose node has stopped because another process has its name.
-#[cfg(feature = "network")]
 const NAME_TAKEN: i32 = 3;
 
 /// A running node. Clones refer to the same one; it runs until [`shutdown`](Node::shutdown), or
@@ -138,7 +131,6 @@ struct Shared {
     incarnation: Incarnation,
     environment: Arc<ComponentEnvironment>,
     chain: FaultChain,
-    #[cfg(feature = "network")]
     networks: Option<Networks>,
     tree: changes::KeptTree,
     systemd: Option<Systemd>,
@@ -220,7 +212,6 @@ impl Node {
     /// Returns the topics used by objects of this node, with their publishers, listeners and rates.
     pub fn topics(&self) -> Vec<TopicRow> {
         let rows = self.0.environment.topics().rows();
-        #[cfg(feature = "network")]
         let rows = rows.into_iter().map(|row| self.with_publishing_nodes(row)).collect();
         rows
     }
@@ -306,7 +297,6 @@ impl Node {
     pub async fn table(&self) -> Vec<MonitorRow> {
         let chain = &self.0.chain;
         let table = chain.answer(chain.monitor.send(ReadTable));
-        #[cfg(feature = "network")]
         let table = network::signs::completed(table, self.links());
         let mut rows = table.await.unwrap_or_default();
         // What a component is doing right now is read from outside, so that it need not answer.
@@ -357,7 +347,6 @@ impl Node {
     /// [roles and the policy](crate::manual::security#roles-and-policy) of the robot's roster: at
     /// most 1,024 different refusals, in the order of nodes. Each is logged under the target
     /// `blastema::audit`, at first and once a minute while it goes on.
-    #[cfg(feature = "network")]
     pub fn refusals(&self) -> Vec<crate::AccessRefusal> {
         self.0.environment.registry.access().refusals()
     }
@@ -562,7 +551,6 @@ impl Node {
 
     /// Ends the process if its node has stopped for that reason.
     async fn end_if_displaced(&self) {
-        #[cfg(feature = "network")]
         if let Some(networks) = &self.0.networks
             && let Some(why) = networks.handle.own_name().taken()
         {
@@ -598,7 +586,6 @@ impl Node {
         }
         let cut_short = || self.0.environment.cut_short.load(SeqCst);
         let before = cut_short();
-        #[cfg(feature = "network")]
         self.0.networks.iter().for_each(|networks| networks.handle.expect_end());
         let stopped = self.0.chain.answer(self.0.chain.controller.send(Shutdown)).await;
         if stopped.is_none() && self.state() != NodeState::Stopped {
@@ -608,7 +595,6 @@ impl Node {
             self.0.make_safe("a component was not stopped in order");
         }
         self.0.chain.expect_end();
-        #[cfg(feature = "network")]
         if let Some(networks) = &self.0.networks {
             networks.leave().await;
         }
@@ -646,7 +632,6 @@ impl Shared {
         self.environment.arbiters.stop();
         self.environment.conditions().end();
         self.environment.variables().close_file();
-        #[cfg(feature = "network")]
         if let Some(networks) = &self.networks {
             networks.stop();
         }

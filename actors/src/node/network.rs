@@ -41,7 +41,7 @@ pub use blastema_transports::MemoryMedium;
 /// them, one that leaves this computer must be declared [`insecure`](Network::insecure), or the
 /// node does not start.
 ///
-/// Needs the feature `network`; a network over UDP, for example, needs `ip`, which implies it.
+/// Each medium needs its feature: a network over UDP, for example, needs `ip`.
 ///
 /// ```
 /// use blastema::{Link, Network};

@@ -6,24 +6,19 @@
 //! ```
 
 use super::Node;
-#[cfg(feature = "network")]
 use crate::net::operator::operator;
-#[cfg(feature = "network")]
 use crate::registry::{ContractPort, service_fn::ServiceFn};
 use blastema_contract::supervisor::{ChildAction, ChildRequest};
 use blastema_core::{FaultLocation, Lifecycle, ObjectName};
 use blastema_macros::{Request, Structure};
-#[cfg(feature = "network")]
 use std::sync::Arc;
 use std::time::Duration;
-#[cfg(feature = "network")]
 use tracing::info;
 
 /// An answer comes by then, also where the component takes longer: a client of the inspection
 /// socket has five seconds.
 const ANSWER_WITHIN: Duration = Duration::from_secs(4);
 /// Under which name operators order.
-#[cfg(feature = "network")]
 pub(super) const COMPONENTS: &str = "net/components";
 
 /// What a person orders.
@@ -124,7 +119,6 @@ impl ComponentOrder {
 }
 
 /// Lets operators give orders, where the node has keys.
-#[cfg(feature = "network")]
 pub(super) fn serve_operators(node: &Node) {
     let registry = &node.0.environment.registry;
     let (access, own) = (registry.access(), node.0.name.clone());

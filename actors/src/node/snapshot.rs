@@ -1,9 +1,7 @@
 //! The state of a node at one moment, for display and for tools.
 
-#[cfg(feature = "network")]
 mod network;
 
-#[cfg(feature = "network")]
 pub use network::NetworkSnapshot;
 
 use super::{Node, NodeState};
@@ -45,7 +43,6 @@ pub struct NodeSnapshot {
     /// The threads that components live on.
     pub threads: Vec<ThreadRow>,
     /// The node's record of other nodes.
-    #[cfg(feature = "network")]
     pub network: NetworkSnapshot,
     /// The node's actuators, and the commander of each.
     pub actuators: Vec<ActuatorRow>,
@@ -66,10 +63,7 @@ pub struct NodeSnapshot {
 impl NodeSnapshot {
     pub(super) async fn of(node: &Node) -> Self {
         let own = join(in_time(node.table()), in_time(node.faults()));
-        #[cfg(feature = "network")]
         let (network, own) = join(NetworkSnapshot::of(node), own).await;
-        #[cfg(not(feature = "network"))]
-        let own = own.await;
         let (table, faults) = own;
         NodeSnapshot {
             node: node.name().clone(),
@@ -77,7 +71,6 @@ impl NodeSnapshot {
             state: node.state(),
             table,
             threads: node.threads(),
-            #[cfg(feature = "network")]
             network,
             actuators: node.actuators(),
             topics: node.topics(),
@@ -124,7 +117,6 @@ impl NodeSnapshot {
             document["tree_changes"] = rows_of(&self.tree_changes, change).into();
             document
         };
-        #[cfg(feature = "network")]
         let document = self.network.shown_in(document);
         document.to_string()
     }
@@ -290,7 +282,6 @@ mod tests {
                 seen_at: Instant::ORIGIN,
                 table: in_time(future::ready(Vec::new())).await,
                 threads: Vec::new(),
-                #[cfg(feature = "network")]
                 network: NetworkSnapshot {
                     networks: Vec::new(),
                     media: in_time(future::ready(Vec::new())).await,
@@ -320,10 +311,8 @@ mod tests {
             for empty in ["table", "threads"] {
                 assert_eq!(seen[empty], json!([]), "{empty}");
             }
-            // A node without the feature leaves its network out.
-            let network = cfg!(feature = "network");
-            assert_eq!(seen.get("sessions"), network.then_some(&Value::Null));
-            assert_eq!(seen.get("links"), network.then_some(&json!([])));
+            assert_eq!(seen.get("sessions"), Some(&Value::Null));
+            assert_eq!(seen.get("links"), Some(&json!([])));
         });
     }
 }

@@ -1,13 +1,16 @@
 //! What other nodes may do with the objects of this one, and what they were refused.
 //!
-//! Without keys, and in a program without a network, everything is open.
+//! Without keys, everything is open.
 
-#[cfg(feature = "network")]
-pub use self::rights::AccessRefusal;
 use super::MessageMetadata;
-#[cfg(feature = "network")]
+use crate::platform::{self, lock};
 use blastema_core::net::NodeId;
+use blastema_core::net::trust::access::{AccessDenied, AccessPolicy, RefusalLog, RefusalRow};
+use blastema_core::net::trust::policy::Verb;
 use blastema_core::{DeliveryError, NodeName, ObjectName};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::time::Duration;
+use tracing::warn;
 
 /// What a message wants of an object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -16,21 +19,19 @@ pub(crate) enum AccessWish {
     Command,
     /// To read or watch a variable.
     Read,
-    /// To write a variable, or to decide on its value.
+    /// To write a variable.
     Write,
 }
 
 /// The rights of other nodes at this one. Clones are the same.
 #[derive(Clone, Default)]
 pub(crate) struct AccessControl {
-    #[cfg(feature = "network")]
-    rights: std::sync::Arc<rights::Rights>,
+    rights: Arc<Rights>,
 }
 
 /// Where a message comes from: an object of this node, or another node.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct MessageOrigin {
-    #[cfg(feature = "network")]
     pub(crate) peer: Option<NodeId>,
 }
 
@@ -41,28 +42,15 @@ impl MessageOrigin {
     }
 
     /// Whether an object of this name, such as `base:planner`, may have sent it.
-    #[cfg(feature = "network")]
     pub(crate) fn may_be(self, object: &str) -> bool {
         let node = object.split_once(':').and_then(|(node, _)| NodeName::new(node).ok());
         self.peer.is_none_or(|peer| node.is_some_and(|node| NodeId::of(&node) == peer))
     }
-
-    /// Without a network, all objects are of this node.
-    #[cfg(not(feature = "network"))]
-    pub(crate) fn may_be(self, _object: &str) -> bool {
-        true
-    }
 }
 
 impl From<&MessageMetadata> for MessageOrigin {
-    #[cfg(feature = "network")]
     fn from(metadata: &MessageMetadata) -> Self {
         MessageOrigin { peer: metadata.from }
-    }
-
-    #[cfg(not(feature = "network"))]
-    fn from(_: &MessageMetadata) -> Self {
-        MessageOrigin {}
     }
 }
 
@@ -78,12 +66,9 @@ impl AccessControl {
         object: &ObjectName,
         contract: impl FnOnce() -> String,
     ) -> Result<(), DeliveryError> {
-        #[cfg(feature = "network")]
         if let Some(peer) = from.peer {
             return self.rights.check(peer, wish, object, contract);
         }
-        #[cfg(not(feature = "network"))]
-        let _ = (from, wish, object, contract);
         Ok(())
     }
 }
@@ -91,139 +76,123 @@ impl AccessControl {
 impl AccessControl {
     /// Whether a node, this one or another, may serve under a name of the robot.
     pub(crate) fn may_claim(&self, node: &NodeName, name: &ObjectName) -> bool {
-        #[cfg(feature = "network")]
         if let Some(policy) = self.policy() {
             return policy.may_claim(node, name);
         }
-        #[cfg(not(feature = "network"))]
-        let _ = (node, name);
         true
     }
 }
 
-#[cfg(feature = "network")]
-mod rights {
-    use super::{AccessControl, AccessWish};
-    use crate::platform::{self, lock};
-    use blastema_core::net::NodeId;
-    use blastema_core::net::trust::access::{AccessDenied, AccessPolicy, RefusalLog, RefusalRow};
-    use blastema_core::net::trust::policy::Verb;
-    use blastema_core::{DeliveryError, NodeName, ObjectName};
-    use std::sync::{Arc, Mutex, PoisonError, RwLock};
-    use std::time::Duration;
-    use tracing::warn;
+#[derive(Default)]
+struct Rights {
+    policy: RwLock<Option<Arc<AccessPolicy>>>,
+    log: Mutex<RefusalLog>,
+}
 
-    #[derive(Default)]
-    pub(super) struct Rights {
-        policy: RwLock<Option<Arc<AccessPolicy>>>,
-        log: Mutex<RefusalLog>,
+/// What another node wanted to do here, and may not by the robot's roster.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct AccessRefusal {
+    /// The node that was refused.
+    pub node: NodeName,
+    /// What it wanted: a verb of the policy, such as `lease`.
+    pub verb: &'static str,
+    /// At which object, as the policy names it: `base/wheels`; or which topic or name.
+    pub object: String,
+    /// By which contract; empty where there is none.
+    pub contract: String,
+    /// The line of the policy that gives it to others, from 1 on; `None` if the node's role
+    /// does not have it.
+    pub policy_line: Option<usize>,
+    /// How often it was refused.
+    pub times: u64,
+    /// How long ago for the first time.
+    pub first: Duration,
+    /// How long ago for the last time.
+    pub last: Duration,
+}
+
+impl Rights {
+    fn check(
+        &self,
+        peer: NodeId,
+        wish: AccessWish,
+        object: &ObjectName,
+        contract: impl FnOnce() -> String,
+    ) -> Result<(), DeliveryError> {
+        let policy = self.policy.read().unwrap_or_else(PoisonError::into_inner).clone();
+        let Some(policy) = policy else { return Ok(()) };
+        let verb = match wish {
+            AccessWish::Command => Verb::Lease,
+            AccessWish::Read => Verb::Read,
+            AccessWish::Write => Verb::Set,
+        };
+        if policy.is_open(peer, verb) {
+            return Ok(());
+        }
+        policy.check(peer, verb, &policy.object(object), &contract()).map_err(|denied| {
+            let why = DeliveryError::from(&*denied);
+            self.record(*denied);
+            why
+        })
     }
 
-    /// What another node wanted to do here, and may not by the robot's roster.
-    #[derive(Clone, Debug, PartialEq, Eq)]
-    #[non_exhaustive]
-    pub struct AccessRefusal {
-        /// The node that was refused.
-        pub node: NodeName,
-        /// What it wanted: a verb of the policy, such as `lease`.
-        pub verb: &'static str,
-        /// At which object, as the policy names it: `base/wheels`; or which topic or name.
-        pub object: String,
-        /// By which contract; empty where there is none.
-        pub contract: String,
-        /// The line of the policy that gives it to others, from 1 on; `None` if the node's role
-        /// does not have it.
-        pub policy_line: Option<usize>,
-        /// How often it was refused.
-        pub times: u64,
-        /// How long ago for the first time.
-        pub first: Duration,
-        /// How long ago for the last time.
-        pub last: Duration,
+    fn record(&self, denied: AccessDenied) {
+        let mut log = lock(&self.log);
+        let Some(times) = log.handle_refused(denied.clone(), platform::now()) else { return };
+        drop(log);
+        let AccessDenied { peer, verb, object, contract, line, serial } = denied;
+        warn!(
+            target: "blastema::audit",
+            node = %peer, %verb, object, contract, line, roster = serial, times,
+            "refused: the node may not do this"
+        );
+    }
+}
+
+impl AccessControl {
+    /// From now on this policy counts.
+    pub(crate) fn replace(&self, policy: AccessPolicy) {
+        let policy = Some(Arc::new(policy));
+        *self.rights.policy.write().unwrap_or_else(PoisonError::into_inner) = policy;
     }
 
-    impl Rights {
-        pub(super) fn check(
-            &self,
-            peer: NodeId,
-            wish: AccessWish,
-            object: &ObjectName,
-            contract: impl FnOnce() -> String,
-        ) -> Result<(), DeliveryError> {
-            let policy = self.policy.read().unwrap_or_else(PoisonError::into_inner).clone();
-            let Some(policy) = policy else { return Ok(()) };
-            let verb = match wish {
-                AccessWish::Command => Verb::Lease,
-                AccessWish::Read => Verb::Read,
-                AccessWish::Write => Verb::Set,
-            };
-            if policy.is_open(peer, verb) {
-                return Ok(());
-            }
-            policy.check(peer, verb, &policy.object(object), &contract()).map_err(|denied| {
-                let why = DeliveryError::from(&*denied);
-                self.record(*denied);
-                why
-            })
-        }
-
-        fn record(&self, denied: AccessDenied) {
-            let mut log = lock(&self.log);
-            let Some(times) = log.handle_refused(denied.clone(), platform::now()) else { return };
-            drop(log);
-            let AccessDenied { peer, verb, object, contract, line, serial } = denied;
-            warn!(
-                target: "blastema::audit",
-                node = %peer, %verb, object, contract, line, roster = serial, times,
-                "refused: the node may not do this"
-            );
-        }
+    /// The policy that counts.
+    pub(crate) fn policy(&self) -> Option<Arc<AccessPolicy>> {
+        self.rights.policy.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    impl AccessControl {
-        /// From now on this policy counts.
-        pub(crate) fn replace(&self, policy: AccessPolicy) {
-            let policy = Some(Arc::new(policy));
-            *self.rights.policy.write().unwrap_or_else(PoisonError::into_inner) = policy;
-        }
+    /// A peer was refused something.
+    pub(crate) fn record(&self, denied: AccessDenied) {
+        self.rights.record(denied);
+    }
 
-        /// The policy that counts.
-        pub(crate) fn policy(&self) -> Option<Arc<AccessPolicy>> {
-            self.rights.policy.read().unwrap_or_else(PoisonError::into_inner).clone()
-        }
+    /// The refusal of a program that was last, and when.
+    pub(crate) fn newest_of_a_program(&self) -> Option<RefusalRow> {
+        let log = lock(&self.rights.log);
+        log.rows().filter(|row| row.denied.is_of_a_program()).max_by_key(|row| row.last)
+    }
 
-        /// A peer was refused something.
-        pub(crate) fn record(&self, denied: AccessDenied) {
-            self.rights.record(denied);
-        }
+    /// Nodes that were refused so much, or more, since this was asked last.
+    pub(crate) fn take_floods(&self, least: u64) -> Vec<NodeName> {
+        let mut log = lock(&self.rights.log);
+        log.take_floods(least)
+    }
 
-        /// The refusal of a program that was last, and when.
-        pub(crate) fn newest_of_a_program(&self) -> Option<RefusalRow> {
-            let log = lock(&self.rights.log);
-            log.rows().filter(|row| row.denied.is_of_a_program()).max_by_key(|row| row.last)
-        }
-
-        /// Nodes that were refused so much, or more, since this was asked last.
-        pub(crate) fn take_floods(&self, least: u64) -> Vec<NodeName> {
-            let mut log = lock(&self.rights.log);
-            log.take_floods(least)
-        }
-
-        /// What was refused, in the order of nodes.
-        pub(crate) fn refusals(&self) -> Vec<AccessRefusal> {
-            let now = platform::now();
-            let log = lock(&self.rights.log);
-            let row = |row: RefusalRow| AccessRefusal {
-                node: row.denied.peer,
-                verb: row.denied.verb.word(),
-                object: row.denied.object,
-                contract: row.denied.contract,
-                policy_line: row.denied.line,
-                times: row.times,
-                first: now - row.first,
-                last: now - row.last,
-            };
-            log.rows().map(row).collect()
-        }
+    /// What was refused, in the order of nodes.
+    pub(crate) fn refusals(&self) -> Vec<AccessRefusal> {
+        let now = platform::now();
+        let log = lock(&self.rights.log);
+        let row = |row: RefusalRow| AccessRefusal {
+            node: row.denied.peer,
+            verb: row.denied.verb.word(),
+            object: row.denied.object,
+            contract: row.denied.contract,
+            policy_line: row.denied.line,
+            times: row.times,
+            first: now - row.first,
+            last: now - row.last,
+        };
+        log.rows().map(row).collect()
     }
 }

@@ -12,7 +12,7 @@ pub(crate) fn encoded_reply<M: Contract>(
     former: Option<&PreviousVersion<M>>,
 ) -> Result<GatherBuffer, DeliveryError> {
     let encoded = match former {
-        None => codec::encode_parcel_reply::<M>(reply),
+        None => codec::encode_parcel_reply::<M>(&reply),
         Some(former) => former.answer(reply),
     };
     encoded.map_err(|error| match encoding(error, M::MAX_SIZE) {
@@ -60,11 +60,6 @@ impl OtherContract {
         };
         let difference = difference.map_or(format!("the {party} says so"), |it| it.to_string());
         DeliveryError::ContractDiffers { difference }
-    }
-
-    /// The name of the contract.
-    pub(crate) fn name(&self) -> String {
-        PeerIdentity::decode(&self.identity).map(|known| known.name).unwrap_or_default()
     }
 }
 

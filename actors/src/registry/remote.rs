@@ -171,24 +171,18 @@ struct Outlet<M: Contract> {
 }
 
 impl<M: Contract> Outlet<M> {
-    /// The message is as it was where it is refused.
-    fn send(&self, message: &mut M, asked: Option<OutgoingRequest>) -> Result<(), DeliveryError> {
+    fn send(&self, message: &M, asked: Option<OutgoingRequest>) -> Result<(), DeliveryError> {
         if let Some(why) = crate::arbiter::heartbeat::send_refusal() {
             return Err(why);
         }
-        let encoded = codec::encode_out_of(message);
-        let (parcel, taken) = encoded.map_err(|error| encoding(error, M::MAX_SIZE))?;
-        let sent = self.stub.send(parcel, asked);
-        if sent.is_err() {
-            taken.put_back(message);
-        }
-        sent
+        let encoded = codec::encode_parcel(message);
+        self.stub.send(encoded.map_err(|error| encoding(error, M::MAX_SIZE))?, asked)
     }
 }
 
 impl<M: Contract> MessageSink<M> for Outlet<M> {
-    fn offer(&self, mut message: M) -> Result<(), SendError<M>> {
-        self.send(&mut message, None).map_err(|why| SendError::new(why, message))
+    fn offer(&self, message: M) -> Result<(), SendError<M>> {
+        self.send(&message, None).map_err(|why| SendError::new(why, message))
     }
 
     fn receiver(&self) -> Option<Receiver> {
@@ -203,7 +197,7 @@ impl<M: Contract> MessageSink<M> for Outlet<M> {
 
     fn ask(
         &self,
-        mut message: M,
+        message: M,
         id: Option<MessageId>,
         within: Option<Duration>,
     ) -> Result<ReplyFuture<M>, RequestError<M>> {
@@ -231,7 +225,7 @@ impl<M: Contract> MessageSink<M> for Outlet<M> {
             }
         };
         let asked = OutgoingRequest { id, within, reply_to: Box::new(reply_to) };
-        match self.send(&mut message, Some(asked)) {
+        match self.send(&message, Some(asked)) {
             Ok(()) => Ok(reply),
             Err(why) => Err(RequestError::new(why, Some(message))),
         }

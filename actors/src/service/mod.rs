@@ -40,7 +40,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use types::{LoadState, RoleChanged, SaveState};
 
-/// A component whose state can be carried over to another node. Needs the feature `network`.
+/// A component whose state can be carried over to another node.
 pub trait Stateful: Component {
     /// Returns its state, from which [`load`](Stateful::load) restores the component.
     fn save(&self) -> Vec<u8>;

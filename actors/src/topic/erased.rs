@@ -2,7 +2,6 @@
 
 use super::traffic::Traffic;
 use super::{Latched, RemoteForward, Times, Topic, TopicKey, TopicRow, lock, nanos};
-use crate::messaging::message_log;
 use crate::platform;
 use crate::platform::panics;
 use crate::registry::encoding::read_result;
@@ -38,8 +37,6 @@ pub(super) trait AnyTopic: Send + Sync {
     fn traffic(&self) -> &Traffic;
     /// For display, without the other nodes that listen: the table knows them.
     fn row(&self, now: Instant) -> TopicRow;
-    /// Says whether it has publishers and no listeners, although they have had the time to join.
-    fn is_unheard(&self, now: Instant) -> bool;
 }
 
 impl<E: Event> AnyTopic for Topic<E> {
@@ -77,12 +74,6 @@ impl<E: Event> AnyTopic for Topic<E> {
         self.traffic.row(&self.key, E::LATCHED, now)
     }
 
-    fn is_unheard(&self, now: Instant) -> bool {
-        !self.has_listeners()
-            && !self.is_forwarded.load(Relaxed)
-            && self.traffic.expects_listeners(now)
-    }
-
     fn publish_remote(
         &self,
         form: usize,
@@ -108,7 +99,6 @@ impl<E: Event> AnyTopic for Topic<E> {
                 let captured_at = now.as_nanos().saturating_sub(nanos(age));
                 let captured_at = Some(Instant::from_nanos(captured_at));
                 self.traffic.count();
-                message_log::sent(E::NAME, &self.key.topic, String::new);
                 let times = Times { posted_at: now, captured_at };
                 self.hand_out(event, times, true, self.lock_latch());
                 Ok(())

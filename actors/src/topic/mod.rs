@@ -32,14 +32,11 @@ mod traffic;
 
 pub use publisher::Publisher;
 use subscription::TopicSubscription;
-use table::TopicTable;
 pub(crate) use table::Topics;
-#[cfg(feature = "network")]
 pub(crate) use table::{ForwardId, described};
 use tap::TopicTaps;
 pub use traffic::TopicRow;
 
-use crate::arbiter::heartbeat;
 use crate::component::envelope::{Times, enqueue_time};
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::messaging::message_log;
@@ -54,7 +51,7 @@ use hub_queue::HubQueue;
 use std::pin::Pin;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicBool, AtomicU64};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
 use std::time::Duration;
 use tokio::sync::watch;
 use traffic::Traffic;
@@ -148,7 +145,6 @@ pub(crate) struct Topic<E: Event> {
     taps: TopicTaps<E>,
     /// Listeners here, and other nodes that have some.
     matched: watch::Sender<usize>,
-    all: Weak<Mutex<TopicTable>>,
     dead_letters: DeadLetterLog,
     reports: FaultReports,
     /// It is known that its events panic.
@@ -252,9 +248,6 @@ impl<E: Event> Topic<E> {
             self.measure(&event);
         }
         let is_forwarded = self.is_forwarded.load(Relaxed);
-        if !is_forwarded && self.listeners.load(Relaxed) == 0 && !self.traffic.was_judged() {
-            self.suggest();
-        }
         // A node that begins to listen meanwhile gets this event, and gets it once.
         let latch = self.lock_latch();
         if is_forwarded || latch.is_some() {
@@ -301,23 +294,6 @@ impl<E: Event> Topic<E> {
         if codec::encode(event, &mut bytes).is_ok() {
             self.traffic.measured(bytes.len());
         }
-    }
-
-    /// The topic has no listeners: suggests one of a similar name that has listeners and no
-    /// publisher.
-    #[cold]
-    fn suggest(&self) {
-        if !self.traffic.is_time_to_judge(heartbeat::coarse_now()) {
-            return;
-        }
-        let Some(all) = self.all.upgrade() else { return };
-        let Some(nearest) = lock(&all).lonely_like(&self.key) else { return };
-        tracing::warn!(
-            topic = self.key.topic.as_str(),
-            nearest = &*nearest,
-            "a topic has publishers and no listeners, and one of a similar name has listeners and no \
-             publishers: is the name right?"
-        );
     }
 
     /// To the listeners of this node.

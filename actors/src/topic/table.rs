@@ -9,9 +9,7 @@ use crate::platform;
 use crate::registry::difference;
 use crate::runtime::reports::FaultReports;
 use blastema_core::sorted::{SortedMap, SortedSet};
-use blastema_core::{
-    ContractIdentity, DeliveryError, Event, NodeName, ObjectName, PeerIdentity, suggestion,
-};
+use blastema_core::{ContractIdentity, DeliveryError, Event, NodeName, ObjectName, PeerIdentity};
 use bytes::Bytes;
 use std::any::{Any, type_name};
 use std::fmt;
@@ -75,7 +73,7 @@ struct WantedForward {
 
 /// The topics by name.
 #[derive(Default)]
-pub(super) struct TopicTable {
+struct TopicTable {
     /// As many as the program has publishers and listeners.
     topics: SortedMap<ObjectName, TopicEntry>,
     /// Kept for topics that no object of this node has named yet.
@@ -90,8 +88,6 @@ pub(crate) struct Topics {
     interest: Arc<Mutex<Option<InterestObserver>>>,
     dead_letters: DeadLetterLog,
     reports: FaultReports,
-    /// When a listener joined a topic last, in nanoseconds.
-    joined: Arc<AtomicU64>,
     /// How often a publisher came or went.
     publishing: Arc<AtomicU64>,
     ended: NodeEnd,
@@ -114,8 +110,8 @@ impl<E: Event> Drop for Tapped<E> {
 
 impl Topics {
     pub(crate) fn new(dead_letters: DeadLetterLog, reports: FaultReports) -> Self {
-        let (inner, interest, joined, publishing, ended) = Default::default();
-        Topics { inner, interest, dead_letters, reports, joined, publishing, ended }
+        let (inner, interest, publishing, ended) = Default::default();
+        Topics { inner, interest, dead_letters, reports, publishing, ended }
     }
 
     /// This node was shut down: publishers outside of its components get an error.
@@ -153,13 +149,9 @@ impl Topics {
             is_forwarded: AtomicBool::new(false),
             listeners: AtomicU64::new(0),
             latch: Mutex::default(),
-            traffic: {
-                let (joined, publishing) = (self.joined.clone(), self.publishing.clone());
-                Traffic::new(platform::now(), joined, publishing)
-            },
+            traffic: Traffic::new(platform::now(), self.publishing.clone()),
             taps: TopicTaps::default(),
             matched: watch::Sender::new(0),
-            all: Arc::downgrade(&self.inner),
             dead_letters: self.dead_letters.clone(),
             reports: self.reports.clone(),
             complained: AtomicBool::new(false),
@@ -234,10 +226,9 @@ impl Topics {
         let topics: Vec<(Arc<dyn AnyTopic>, _)> = inner.topics.values().map(topic).collect();
         drop(inner);
         let now = platform::now();
-        let row = |(topic, listening_nodes): (Arc<dyn AnyTopic>, Vec<NodeName>)| {
-            let unheard = topic.is_unheard(now).then(|| lock(&self.inner).lonely_like(topic.key()));
-            let similar = unheard.flatten().map(String::from);
-            TopicRow { similar, listening_nodes, ..topic.row(now) }
+        let row = |(topic, listening_nodes): (Arc<dyn AnyTopic>, Vec<NodeName>)| TopicRow {
+            listening_nodes,
+            ..topic.row(now)
         };
         topics.into_iter().map(row).collect()
     }
@@ -271,8 +262,6 @@ impl Topics {
         let kept = WantedForward { node, wanted, forward };
         inner.forwards.entry(key.topic.clone()).or_default().insert(id, kept);
         inner.renew_forwards(&key.topic, Some(id));
-        drop(inner);
-        self.joined.store(platform::now().as_nanos(), Relaxed);
         ForwardId { topic: key.topic.clone(), id }
     }
 
@@ -324,22 +313,20 @@ impl Topics {
     }
 
     /// Whether an object listens to a topic, here or on another node.
-    #[cfg(feature = "network")]
     pub(crate) fn is_heard(&self, topic: &str) -> bool {
         let Ok(topic) = ObjectName::new(topic) else { return false };
         let inner = lock(&self.inner);
         let here = inner.topics.get(&topic).is_some_and(|known| known.erased.has_listeners());
-        here || inner.forwards.get(&topic).is_some_and(is_listened)
+        let is_open = |kept: &WantedForward| !kept.forward.has_ended();
+        here || inner.forwards.get(&topic).is_some_and(|all| all.values().any(is_open))
     }
 
     /// Tells by another number that a publisher came or went.
-    #[cfg(feature = "network")]
     pub(crate) fn revision(&self) -> u64 {
         self.publishing.load(Relaxed)
     }
 
     /// All topics that have publishers here.
-    #[cfg(feature = "network")]
     pub(crate) fn published(&self) -> Vec<TopicKey> {
         let inner = lock(&self.inner);
         let published =
@@ -362,21 +349,6 @@ impl Topics {
 }
 
 impl TopicTable {
-    /// The topic of the most similar name that has listeners, here or on other nodes, and no
-    /// publisher.
-    pub(super) fn lonely_like(&self, key: &TopicKey) -> Option<Box<str>> {
-        let elsewhere = self.forwards.iter().filter(|(_, forwards)| is_listened(forwards));
-        let here = self.topics.iter().filter(|(_, known)| known.erased.has_listeners());
-        let listened = elsewhere.map(|(topic, _)| topic).chain(here.map(|(topic, _)| topic));
-        let is_lonely = |other: &&ObjectName| {
-            let known = self.topics.get(*other);
-            **other != key.topic
-                && known.is_none_or(|known| !known.erased.traffic().has_publishers())
-        };
-        let names = listened.filter(is_lonely).map(ObjectName::as_str);
-        suggestion::nearest(key.topic.as_str(), names).map(Box::from)
-    }
-
     /// The other nodes whose listeners get what is published on this topic.
     fn listening_nodes(&self, known: &TopicEntry) -> Vec<NodeName> {
         let identity = known.erased.identity();
@@ -408,10 +380,6 @@ impl TopicTable {
         known.erased.forward_to(all, joins);
         !forwards.is_empty()
     }
-}
-
-fn is_listened(forwards: &SortedMap<u64, WantedForward>) -> bool {
-    forwards.values().any(|kept| !kept.forward.has_ended())
 }
 
 impl WantedForward {

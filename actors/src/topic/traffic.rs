@@ -1,7 +1,6 @@
 //! What a topic carries, with its publishers and listeners: for display only.
 
 use super::{TopicKey, lock};
-use crate::platform;
 use blastema_core::sorted::SortedMap;
 use blastema_core::{Instant, NodeName, ObjectName};
 use serde::Serialize;
@@ -12,8 +11,6 @@ use std::time::Duration;
 
 /// A rate over less than this would tell of bursts, not of the topic.
 const RATE_WINDOW: Duration = Duration::from_secs(1);
-/// Listeners of a node that starts, and of its neighbours, have joined by then.
-const JOINED_WITHIN: Duration = Duration::from_secs(5);
 
 /// One topic of a node, in its [snapshot](crate::Node::snapshot).
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -39,9 +36,6 @@ pub struct TopicRow {
     pub rate_hz: f64,
     /// The encoded size of a recent event, in bytes.
     pub bytes: Option<usize>,
-    /// If this topic is published on and has no listeners after 5 s: the topic of a similar name
-    /// that has listeners and no publishers.
-    pub similar: Option<String>,
 }
 
 pub(super) struct Traffic {
@@ -52,13 +46,8 @@ pub(super) struct Traffic {
     bytes: AtomicUsize,
     /// The next event is to be measured.
     unmeasured: AtomicBool,
-    /// When a listener joined some topic of the node last, in nanoseconds.
-    joined: Arc<AtomicU64>,
     /// How often a publisher of some topic of the node came or went.
     publishing: Arc<AtomicU64>,
-    /// When its name was compared with those of other topics last, in nanoseconds.
-    judged: AtomicU64,
-    since: Instant,
     shown: Mutex<Shown>,
 }
 
@@ -83,16 +72,13 @@ fn count<K: Ord>(counts: &mut SortedMap<K, usize>, key: K, more: bool) {
 }
 
 impl Traffic {
-    pub(super) fn new(now: Instant, joined: Arc<AtomicU64>, publishing: Arc<AtomicU64>) -> Self {
+    pub(super) fn new(now: Instant, publishing: Arc<AtomicU64>) -> Self {
         Traffic {
             events: AtomicU64::new(0),
             lost: AtomicU64::new(0),
             bytes: AtomicUsize::new(0),
             unmeasured: AtomicBool::new(true),
-            joined,
             publishing,
-            judged: AtomicU64::new(0),
-            since: now,
             shown: Mutex::new(Shown {
                 publishers: SortedMap::new(),
                 listeners: SortedMap::new(),
@@ -131,26 +117,6 @@ impl Traffic {
         self.unmeasured.store(false, Relaxed);
     }
 
-    /// Since the last listener joined.
-    #[inline]
-    pub(super) fn was_judged(&self) -> bool {
-        self.judged.load(Relaxed) > self.joined.load(Relaxed)
-    }
-
-    /// Says once that listeners have had the time to join, and again after another has joined.
-    pub(super) fn is_time_to_judge(&self, now: Instant) -> bool {
-        let joined = self.joined.load(Relaxed);
-        // A publisher for the listener that has joined may still come.
-        now - self.since.max(Instant::from_nanos(joined)) >= JOINED_WITHIN
-            && self.judged.swap(now.as_nanos(), Relaxed) <= joined
-    }
-
-    /// Says whether events are published, or may be, and listeners have had the time to join.
-    pub(super) fn expects_listeners(&self, now: Instant) -> bool {
-        let is_used = self.events.load(Relaxed) > 0 || self.has_publishers();
-        now - self.since >= JOINED_WITHIN && is_used
-    }
-
     /// One publisher more or less.
     pub(super) fn publishes(&self, by: &str, more: bool) {
         count(&mut lock(&self.shown).publishers, by.into(), more);
@@ -164,9 +130,6 @@ impl Traffic {
     /// One subscription more or less.
     pub(super) fn listens(&self, name: &ObjectName, more: bool) {
         count(&mut lock(&self.shown).listeners, name.clone(), more);
-        if more {
-            self.joined.store(platform::now().as_nanos(), Relaxed);
-        }
     }
 
     /// The names of its publishers and listeners.
@@ -199,7 +162,6 @@ impl Traffic {
             events,
             rate_hz: shown.rate_hz,
             bytes: measured,
-            similar: None,
         }
     }
 }

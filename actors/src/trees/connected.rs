@@ -2,7 +2,6 @@
 
 use super::host::TreeHost;
 use crate::condition::Connected;
-#[cfg(feature = "network")]
 use blastema_core::NodeName;
 use blastema_core::{Lifecycle, ObjectName};
 use blastema_trees::{Factory, LeafContext, LeafResult, Port, PortError, Status, Value};
@@ -88,7 +87,6 @@ pub(super) fn register(factory: &mut Factory) {
             Ok(Status::from(TreeHost::condition(cx, 0, &name, || needs)?.is_acceptable()))
         });
     }
-    #[cfg(feature = "network")]
     {
         let is_name = |value: &Value| NodeName::new(&value.to_string()).is_ok();
         let node = Port::input::<String>("node").only("name of a node", is_name);

@@ -384,7 +384,7 @@ fn tell_watchers(mut inner: MutexGuard<'_, Inner>) {
     }
 }
 
-#[cfg(all(test, feature = "network"))]
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::registry::MessageMetadata;

@@ -8,19 +8,15 @@
 
 pub mod child;
 pub mod detector;
-#[cfg(feature = "network")]
 pub mod link;
 pub mod monitor;
 pub mod notifier;
 pub mod recoverer;
 pub mod reports;
-#[cfg(feature = "network")]
 pub mod router;
-#[cfg(feature = "network")]
 pub mod session;
 pub mod strategy;
 pub mod supervisor;
-#[cfg(feature = "network")]
 pub mod transport;
 
 /// The answer to a hand-over of fault information: it has arrived and is in the receiver's record.

@@ -53,7 +53,6 @@ impl MediumAddress {
     }
 }
 
-#[cfg(feature = "network")]
 impl blastema_core::net::LinkAddress for MediumAddress {
     fn is_connection(&self) -> bool {
         matches!(self, MediumAddress::Connection { .. })

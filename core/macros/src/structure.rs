@@ -44,7 +44,7 @@ fn layout(input: &DeriveInput, attributes: &TypeAttributes) -> Result<TokenStrea
     let name = ident.unraw().to_string();
     let generics = described_generics(input, attributes);
     let (impl_generics, type_generics, where_clause) = generics.split_for_impl();
-    let (shape, empty, last) = match &input.data {
+    let (shape, empty) = match &input.data {
         Data::Struct(data) => {
             let fields = fields(&data.fields, facade)?;
             let shape = quote! {
@@ -52,7 +52,7 @@ fn layout(input: &DeriveInput, attributes: &TypeAttributes) -> Result<TokenStrea
             };
             let fields = data.fields.iter().map(|field| described(&field.ty, facade));
             let empty = quote!(true #(&& #fields::EMPTY)*);
-            (shape, empty, last_bytes(&data.fields, facade))
+            (shape, empty)
         }
         Data::Enum(data) => {
             let variants = data.variants.iter().map(|variant| {
@@ -73,7 +73,7 @@ fn layout(input: &DeriveInput, attributes: &TypeAttributes) -> Result<TokenStrea
                     ::std::borrow::Cow::Borrowed(const { &[#(#variants),*] }),
                 )
             };
-            (shape, quote!(false), None)
+            (shape, quote!(false))
         }
         Data::Union(_) => unreachable!("unions were refused"),
     };
@@ -90,29 +90,6 @@ fn layout(input: &DeriveInput, attributes: &TypeAttributes) -> Result<TokenStrea
                     }
                 }
             }
-
-            #last
-        }
-    })
-}
-
-/// What finds the bytes that the last field ends with. An array's elements are not looked into.
-fn last_bytes(fields: &Fields, facade: &syn::Path) -> Option<TokenStream> {
-    let (member, last) = fields.members().zip(fields).last()?;
-    let of = &last.ty;
-    let described = match of {
-        // A bound is checked where the whole field is encoded.
-        _ if FieldAttributes::parse(&last.attrs).is_ok_and(|it| it.at_most.is_some()) => {
-            return None;
-        }
-        Type::Array(_) => return None,
-        _ => described(of, facade),
-    };
-    Some(quote! {
-        fn last_bytes(&mut self) -> ::std::option::Option<&mut ::std::vec::Vec<u8>> {
-            let find: fn(&mut #of) -> ::std::option::Option<&mut ::std::vec::Vec<u8>> =
-                #described::last_bytes;
-            find(&mut self.#member)
         }
     })
 }

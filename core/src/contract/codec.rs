@@ -106,76 +106,12 @@ pub fn encode_parcel<M: Contract>(message: &M) -> Result<GatherBuffer, EncodeErr
     parcel_of(message, M::MAX_SIZE)
 }
 
-/// Encodes a message of which nothing is needed here once it is sent: neither a large
-/// [`Blob`](crate::Blob) nor a large vector of bytes that ends it is copied. The vector is taken
-/// out of it.
-///
-/// # Errors
-/// [`EncodeError`]; the message is then as it was.
-pub fn encode_out_of<M: Contract>(
-    message: &mut M,
-) -> Result<(GatherBuffer, DetachedBlob), EncodeError> {
-    parcel_out_of(message, M::MAX_SIZE)
-}
-
-/// Encodes a reply to `M` to be sent, as [`encode_out_of`].
+/// Encodes a reply to `M` to be sent, as [`encode_parcel`].
 ///
 /// # Errors
 /// [`EncodeError`].
-pub fn encode_parcel_reply<M: Contract>(mut reply: M::Reply) -> Result<GatherBuffer, EncodeError> {
-    parcel_out_of(&mut reply, M::MAX_SIZE).map(|(parcel, _)| parcel)
-}
-
-/// The bytes that [`encode_out_of`] has taken out of a message; none, mostly.
-#[derive(Debug, Default)]
-pub struct DetachedBlob(Bytes);
-
-impl DetachedBlob {
-    /// Puts them back into the message, which is not sent after all. Copies them if its parcel
-    /// still exists.
-    pub fn put_back<M: Described>(self, message: &mut M) {
-        if let (false, Some(place)) = (self.0.is_empty(), message.last_bytes()) {
-            *place = self.0.into();
-        }
-    }
-}
-
-fn parcel_out_of<T: Described>(
-    value: &mut T,
-    limit: usize,
-) -> Result<(GatherBuffer, DetachedBlob), EncodeError> {
-    // What is sent is counted by its length: room that it does not use must not be much of what it
-    // holds.
-    let is_large = |bytes: &&mut Vec<u8>| {
-        bytes.len() >= GatherBuffer::APART && bytes.capacity() / 2 <= bytes.len()
-    };
-    let Some(place) = value.last_bytes().filter(is_large) else {
-        return Ok((parcel_of(value, limit)?, DetachedBlob::default()));
-    };
-    let bytes = Bytes::from(std::mem::take(place));
-    let taken = DetachedBlob(bytes.clone());
-    match head_of(value, bytes.len(), limit) {
-        Ok(head) => Ok((GatherBuffer::apart(head.into(), bytes), taken)),
-        Err(error) => {
-            drop(bytes);
-            taken.put_back(value);
-            Err(error)
-        }
-    }
-}
-
-/// What stands before so many bytes that were taken from the end of a value: all that it has now,
-/// but instead of the length of nothing, which is its last byte, theirs.
-fn head_of<T: Serialize>(value: &T, taken: usize, limit: usize) -> Result<Vec<u8>, EncodeError> {
-    let mut head = Vec::with_capacity(64);
-    encode_bounded(value, limit, &mut head)?;
-    head.pop();
-    let length = write(&(taken as u64), BufferWriter { end: usize::MAX, buffer: &mut head });
-    length.map_err(|refusal| encode_error(refusal, limit))?;
-    match head.len() + taken <= limit {
-        true => Ok(head),
-        false => Err(EncodeError::TooLarge { limit }),
-    }
+pub fn encode_parcel_reply<M: Contract>(reply: &M::Reply) -> Result<GatherBuffer, EncodeError> {
+    parcel_of(reply, M::MAX_SIZE)
 }
 
 pub(crate) fn parcel_of<T: Serialize>(

@@ -1,10 +1,9 @@
-//! What was not delivered, counted by receiver, contract and reason, and the latest of it.
+//! What was not delivered, counted by receiver, contract and reason.
 
 use crate::sorted::SortedMap;
-use crate::{DeliveryError, Instant, NodeName, ObjectName};
+use crate::{DeliveryError, NodeName, ObjectName};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
-use std::collections::VecDeque;
 use std::fmt;
 
 /// Why a message became a dead letter.
@@ -114,92 +113,45 @@ impl From<&DeliveryError> for DeadReason {
     }
 }
 
-/// A message that was not delivered.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct DeadLetter {
-    /// On which other node its receiver is; `None` for one of this node.
-    pub node: Option<NodeName>,
-    /// The receiver, or, for an event, the name of its topic.
-    pub object: ObjectName,
-    /// The name of its contract.
-    pub contract: Cow<'static, str>,
-    /// Why it did not arrive.
-    pub reason: DeadReason,
-    /// When it was given up.
-    pub at: Instant,
-}
-
-/// How many messages of one contract were not delivered to one object for one reason.
+/// How many of one kind were not delivered.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DeadLetterCount {
-    /// On which other node their receiver is; `None` for one of this node.
+    /// The node of the object, where it is another one.
     pub node: Option<NodeName>,
-    /// The receiver, or, for events, the name of their topic.
+    /// The object that they were for.
     pub object: ObjectName,
-    /// The name of their contract.
+    /// Their contract.
     pub contract: Cow<'static, str>,
-    /// Why they did not arrive.
+    /// Why they were not delivered.
     pub reason: DeadReason,
-    /// The number of messages.
+    /// How many there were.
     pub count: u64,
 }
 
-/// How much is remembered.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct DeadLetterLimits {
-    /// Different counts; what would be one more is counted together. A hundred bytes each.
-    pub counts: usize,
-    /// The latest letters; a hundred bytes each.
-    pub latest: usize,
-}
+/// The kinds that are counted apart: those of some hundred objects, with several contracts each.
+pub const KINDS_MAX: usize = 4096;
 
-impl Default for DeadLetterLimits {
-    /// Ten contracts for each of 400 objects, and the latest screenful or two.
-    fn default() -> Self {
-        DeadLetterLimits { counts: 4096, latest: 128 }
-    }
-}
+/// What is counted apart: the node of the object where it is another one, the object, the contract
+/// and the reason.
+pub type DeadLetterKind = (Option<NodeName>, ObjectName, Cow<'static, str>, DeadReason);
 
-type Key = (Option<NodeName>, ObjectName, Cow<'static, str>, DeadReason);
-
-/// The record of all that was not delivered.
+/// Counts the messages that a node did not deliver.
 #[derive(Debug, Default)]
 pub struct DeadLetters {
-    limits: DeadLetterLimits,
-    counts: SortedMap<Key, u64>,
+    counts: SortedMap<DeadLetterKind, u64>,
     beyond: u64,
-    latest: VecDeque<DeadLetter>,
 }
 
 impl DeadLetters {
-    /// An empty record.
-    pub fn new(limits: DeadLetterLimits) -> Self {
-        DeadLetters { limits, ..DeadLetters::default() }
-    }
-
-    /// Takes note of one message that was not delivered.
-    pub fn handle(&mut self, letter: DeadLetter) {
-        self.handle_many(letter, 1);
-    }
-
-    /// Takes note of so many that were not delivered, all alike, of which one is remembered among
-    /// the latest.
-    pub fn handle_many(&mut self, letter: DeadLetter, many: u64) {
-        let DeadLetter { node, object, contract, reason, .. } = letter.clone();
-        let key = (node, object, contract, reason);
-        let has_capacity = self.counts.len() < self.limits.counts;
-        match self.counts.get_mut(&key) {
+    /// So many messages of one kind were not delivered.
+    pub fn handle(&mut self, kind: DeadLetterKind, many: u64) {
+        let has_capacity = self.counts.len() < KINDS_MAX;
+        match self.counts.get_mut(&kind) {
             Some(count) => *count += many,
             None if has_capacity => {
-                self.counts.insert(key, many);
+                self.counts.insert(kind, many);
             }
             None => self.beyond += many,
-        }
-        if self.latest.len() >= self.limits.latest {
-            self.latest.pop_front();
-        }
-        if self.limits.latest > 0 {
-            self.latest.push_back(letter);
         }
     }
 
@@ -227,13 +179,8 @@ impl DeadLetters {
     /// How many messages to objects of this name, on whichever node, were not delivered for this
     /// reason.
     pub fn count(&self, object: &ObjectName, reason: DeadReason) -> u64 {
-        let of = |key: &Key| key.1 == *object && key.3 == reason;
+        let of = |key: &DeadLetterKind| key.1 == *object && key.3 == reason;
         self.counts.iter().filter(|(key, _)| of(key)).map(|(_, count)| count).sum()
-    }
-
-    /// The latest letters, the oldest of them first.
-    pub fn latest(&self) -> impl Iterator<Item = &DeadLetter> {
-        self.latest.iter()
     }
 }
 
@@ -241,19 +188,17 @@ impl DeadLetters {
 mod tests {
     use super::*;
 
-    fn letter(contract: &'static str, reason: DeadReason, millis: u64) -> DeadLetter {
-        let (node, object) = (None, ObjectName::new("arm").unwrap());
-        let (contract, at) = (contract.into(), Instant::from_millis(millis));
-        DeadLetter { node, object, contract, reason, at }
+    fn kind(contract: &'static str, reason: DeadReason) -> DeadLetterKind {
+        (None, ObjectName::new("arm").unwrap(), contract.into(), reason)
     }
 
     #[test]
     fn letters_are_counted_by_object_contract_and_reason() {
         let mut letters = DeadLetters::default();
-        letters.handle(letter("a", DeadReason::Full, 1));
-        letters.handle(letter("a", DeadReason::Full, 2));
-        letters.handle(letter("a", DeadReason::Expired, 3));
-        letters.handle(letter("b", DeadReason::Full, 4));
+        letters.handle(kind("a", DeadReason::Full), 1);
+        letters.handle(kind("a", DeadReason::Full), 1);
+        letters.handle(kind("a", DeadReason::Expired), 1);
+        letters.handle(kind("b", DeadReason::Full), 1);
 
         let counts: Vec<_> = letters.counts().map(|c| (c.contract, c.reason, c.count)).collect();
 
@@ -271,25 +216,25 @@ mod tests {
     fn objects_of_one_name_on_several_nodes_are_counted_apart() {
         let mut letters = DeadLetters::default();
         let node = NodeName::new("module2").ok();
-        letters.handle(letter("a", DeadReason::Full, 1));
-        letters.handle(DeadLetter { node: node.clone(), ..letter("a", DeadReason::Full, 2) });
-        letters.handle(DeadLetter { node: node.clone(), ..letter("a", DeadReason::Full, 3) });
+        let (_, object, contract, reason) = kind("a", DeadReason::Full);
+        letters.handle(kind("a", DeadReason::Full), 1);
+        letters.handle((node.clone(), object.clone(), contract, reason), 2);
 
         let counts: Vec<_> = letters.counts().map(|count| (count.node, count.count)).collect();
         assert_eq!(counts, [(None, 1), (node, 2)]);
-        assert_eq!(letters.count(&ObjectName::new("arm").unwrap(), DeadReason::Full), 3);
+        assert_eq!(letters.count(&object, DeadReason::Full), 3);
     }
 
     #[test]
-    fn beyond_the_limits_letters_are_counted_together_and_the_oldest_is_forgotten() {
-        let mut letters = DeadLetters::new(DeadLetterLimits { counts: 1, latest: 2 });
-        letters.handle(letter("a", DeadReason::Full, 1));
-        letters.handle(letter("b", DeadReason::Full, 2));
-        letters.handle(letter("a", DeadReason::Full, 3));
+    fn beyond_the_limit_letters_are_counted_together() {
+        let mut letters = DeadLetters::default();
+        for n in 0..=KINDS_MAX {
+            let (_, object, _, reason) = kind("a", DeadReason::Full);
+            letters.handle((None, object, n.to_string().into(), reason), 1);
+        }
+        letters.handle(kind("0", DeadReason::Full), 1);
 
-        assert_eq!((letters.total(), letters.beyond()), (3, 1));
-        let latest: Vec<_> = letters.latest().map(|letter| letter.at).collect();
-        assert_eq!(latest, [Instant::from_millis(2), Instant::from_millis(3)]);
+        assert_eq!((letters.total(), letters.beyond()), (KINDS_MAX as u64 + 2, 1));
     }
 
     #[test]

@@ -175,10 +175,13 @@ fn exchanged_renamed_added_and_removed_fields_are_named() {
     assert_eq!(
         lines,
         [
-            "field `plan` here is called `goal` there",
-            "fields `left` and `right` have changed places",
-            "field `pose.heading` here is called `pose.z` there",
-            "fields `pose.x` and `pose.y` have changed places",
+            "field `plan`: only here",
+            "field `goal`: only there",
+            "the fields of the message stand in another order: \
+             ranges, left, right, pose, mode here; ranges, right, left, pose, mode there",
+            "field `pose.heading`: only here",
+            "field `pose.z`: only there",
+            "the fields of `pose` stand in another order: x, y here; y, x there",
         ]
     );
 }
@@ -254,8 +257,9 @@ fn variants_are_compared_by_name_order_and_fields() {
         lines,
         [
             "variant `mode::Broken`: only there",
-            "variants `mode::Idle` and `mode::Moving` have changed places",
-            "variant `mode::Charging`: fields without names here, no fields there",
+            "the variants of `mode` stand in another order: \
+             Idle, Moving, Charging here; Moving, Idle, Charging there",
+            "field `mode::Charging`: fields without names here, no fields there",
             "field `mode::Moving.speed`: f32 here, f64 there",
         ]
     );

@@ -153,7 +153,7 @@ fn genuine_of_peer() -> Vec<Bytes> {
     let payload = Bytes::from_static(b"\x05hello");
     let (topic, identities) = ("news".to_owned(), vec![identity.clone()]);
     let messages = [
-        PeerMessage::Bind { binding: 1, object, identity },
+        PeerMessage::Bind { binding: 1, object, identity: identity.clone() },
         PeerMessage::Tell {
             binding: 1,
             timestamp_us: 1,

@@ -1,7 +1,7 @@
 //! What the manual says is what the code does: its tables, and sentences that nothing else proves.
 
 use blastema::core::contract::codec::SIZE_LIMIT;
-use blastema::core::delivery::dead_letters::DeadLetterLimits;
+use blastema::core::delivery::dead_letters::KINDS_MAX;
 use blastema::core::delivery::quarantine::QuarantineConfig;
 use blastema::core::detection::{DetectorLimits, MonitorLimits, NotifierLimits};
 use blastema::core::net::{RouterConfig, SessionConfig};
@@ -84,9 +84,7 @@ fn the_limits_are_those_of_the_code() {
         "locations that are treated at one time",
         RecovererLimits::default().cases.to_string(),
     );
-    let letters = DeadLetterLimits::default();
-    let says = format!("{} counts, the latest {}", letters.counts, letters.latest);
-    check(&page, "dead letters", says);
+    check(&page, "dead letters", format!("{KINDS_MAX} counts"));
     check(&page, "nodes in one network; neighbours of a node", router.nodes_max.to_string());
     check(&page, "hops", router.hops.to_string());
     check(&page, "nodes that carry one service", MEMBERS_MAX.to_string());

@@ -34,7 +34,7 @@ const TABLES: [&str; 17] = [
      missing=missing_members, unreplicated, seen before=seen_ms",
     "actuators: object, contract, state, commander, incarnation, epoch, lease left=left_ms",
     "topics: topic, contract, publishers, listeners, publishing nodes, listening nodes, events, \
-     in a second=rate_hz, bytes, latched, similar name=similar",
+     in a second=rate_hz, bytes, latched",
     "trees: tree, node=path, type=type_name, depth, answer, called now=called",
     "changes of trees=tree_changes: tree, tick, before=age_ms, changes",
     "dead letters: node, object, contract, reason, times=count",

@@ -12,7 +12,6 @@ mod plain_actors;
 mod reporting;
 mod serving;
 mod skeleton;
-#[cfg(feature = "network")]
 mod stubs;
 mod subscriptions;
 mod topics;

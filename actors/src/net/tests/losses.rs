@@ -141,9 +141,6 @@ fn events_for_which_there_is_no_room_on_the_way_are_counted_under_their_topic() 
         let arrived = right.log.take().len() as u64;
         assert!(arrived > 0);
         assert_eq!(counted(&left), [row("Note", "Note", DeadReason::WayFull, 3000 - arrived)]);
-        let latest = left.host.dead_letters.latest();
-        let theirs = latest.iter().filter(|letter| letter.node.is_some()).count();
-        assert_eq!(theirs, 1, "one flood leaves the others' letters where they are: {latest:?}");
     });
 }
 

@@ -7,7 +7,7 @@ use crate::service::{ServiceSpec, Stateful};
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// Other nodes; with the feature `network`.
+/// Other nodes.
 impl NodeBuilder {
     /// Adds a network.
     pub fn network(mut self, network: Network) -> Self {

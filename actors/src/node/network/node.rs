@@ -84,7 +84,7 @@ impl fmt::Display for NotReady {
 
 impl std::error::Error for NotReady {}
 
-/// Networks and other nodes; with the feature `network`.
+/// Networks and other nodes.
 impl Node {
     /// All networks, in the order in which they were described.
     pub fn networks(&self) -> &[NetworkRow] {

@@ -13,24 +13,17 @@ use std::sync::Arc;
 use std::time::Duration;
 
 macro_rules! leaves {
-    ($($type:ty => $leaf:ident $({ $($more:tt)* })?),* $(,)?) => {$(
+    ($($type:ty => $leaf:ident),* $(,)?) => {$(
         impl Described for $type {
             fn layout() -> &'static Layout {
                 const { &Layout { id: TypeId::of::<$type>, shape: Shape::Leaf(Primitive::$leaf) } }
             }
-
-            $($($more)*)?
         }
     )*};
 }
 
 leaves! {
-    u8 => U8 {
-        fn bytes_in(vector: &mut Vec<u8>) -> Option<&mut Vec<u8>> {
-            Some(vector)
-        }
-    },
-    bool => Bool, u16 => U16, u32 => U32, u64 => U64, u128 => U128,
+    bool => Bool, u8 => U8, u16 => U16, u32 => U32, u64 => U64, u128 => U128,
     i8 => I8, i16 => I16, i32 => I32, i64 => I64, i128 => I128, f32 => F32, f64 => F64,
     char => Char, String => Text, Box<str> => Text, Arc<str> => Text, Duration => Duration,
 }
@@ -65,7 +58,7 @@ impl<T: Described> Described for Option<T> {
 }
 
 macro_rules! sequences {
-    ($($type:ty => $shape:ident $(, $bound:ident)* $({ $($more:tt)* })?;)*) => {$(
+    ($($type:ty => $shape:ident $(, $bound:ident)*;)*) => {$(
         impl<T: Described $(+ $bound)*> Described for $type {
             fn layout() -> &'static Layout {
                 const {
@@ -76,18 +69,12 @@ macro_rules! sequences {
                     &Layout { id: TypeId::of::<Self>, shape: Shape::$shape(T::layout) }
                 }
             }
-
-            $($($more)*)?
         }
     )*};
 }
 
 sequences! {
-    Vec<T> => Sequence {
-        fn last_bytes(&mut self) -> Option<&mut Vec<u8>> {
-            T::bytes_in(self)
-        }
-    };
+    Vec<T> => Sequence;
     VecDeque<T> => Sequence;
     Box<[T]> => Sequence;
     Arc<[T]> => Sequence;

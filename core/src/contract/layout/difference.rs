@@ -47,23 +47,22 @@ pub fn compare(
     here: &LayoutDescription,
     there: &LayoutDescription,
 ) -> Vec<String> {
-    let mut comparison = Comparison {
-        half,
-        here: here.types(),
-        there: there.types(),
-        open: VecDeque::from([Pair {
-            here: 0,
-            there: 0,
-            path: String::new(),
-            field: 0,
-            whole: (0, 0),
-        }]),
-        seen: SortedSet::new(),
-        pairs: 0,
-        lines: Vec::new(),
-    };
-    comparison.run();
-    comparison.lines
+    let (open, seen, lines) = (VecDeque::new(), SortedSet::new(), Vec::new());
+    let (here, there) = (here.types(), there.types());
+    let mut comparison = Comparison { half, here, there, open, seen, lines };
+    comparison.open(Pair { here: 0, there: 0, path: String::new(), whole: (0, 0) });
+    while comparison.lines.len() <= LINE_LIMIT
+        && let Some(pair) = comparison.open.pop_front()
+    {
+        comparison.compare(&pair);
+    }
+    let Comparison { mut lines, seen, .. } = comparison;
+    let is_cut_short = lines.len() > LINE_LIMIT || seen.len() == PAIR_LIMIT;
+    if is_cut_short && !lines.is_empty() {
+        lines.truncate(LINE_LIMIT);
+        lines.push("and more".into());
+    }
+    lines
 }
 
 /// Two types that stand in the same place of the two structures.
@@ -72,8 +71,6 @@ struct Pair {
     there: u32,
     /// The path to the field that they belong to; empty for the whole message.
     path: String,
-    /// The number of that field in the order of comparison.
-    field: usize,
     /// The whole types of that field, to show them when a part differs.
     whole: (u32, u32),
 }
@@ -83,172 +80,111 @@ struct Comparison<'a> {
     here: &'a [Shape<u32>],
     there: &'a [Shape<u32>],
     open: VecDeque<Pair>,
-    /// What was compared: types with a name once, others once for each field.
-    seen: SortedSet<(usize, u32, u32)>,
-    pairs: usize,
+    /// What is or was open: types with a name once, others once for each path.
+    seen: SortedSet<(String, u32, u32)>,
     lines: Vec<String>,
 }
 
 impl Comparison<'_> {
-    fn run(&mut self) {
-        while self.lines.len() <= LINE_LIMIT
-            && let Some(pair) = self.open.pop_front()
-        {
-            self.compare(pair);
-        }
-        let cut_short = self.lines.len() > LINE_LIMIT || self.pairs > PAIR_LIMIT;
-        if cut_short && !self.lines.is_empty() {
-            self.lines.truncate(LINE_LIMIT);
-            self.lines.push("and more".into());
-        }
-    }
-
-    fn compare(&mut self, pair: Pair) {
-        let (here, there) = (self.here, self.there);
-        let (here, there) = (&here[pair.here as usize], &there[pair.there as usize]);
-        let named = matches!(here, Shape::Struct(..) | Shape::Enum(..));
-        let field = if named { 0 } else { pair.field };
-        if !self.seen.insert((field, pair.here, pair.there)) {
-            return;
-        }
-        match (here, there) {
-            (Shape::Leaf(a), Shape::Leaf(b)) if a == b => {}
-            (Shape::Optional(a), Shape::Optional(b))
-            | (Shape::Sequence(a), Shape::Sequence(b))
-            | (Shape::Set(a), Shape::Set(b)) => self.go_on(&pair, *a, *b),
-            (Shape::Array(a, m), Shape::Array(b, n)) if m == n => self.go_on(&pair, *a, *b),
-            (Shape::AtMost(a, m), Shape::AtMost(b, n)) if m == n => self.go_on(&pair, *a, *b),
-            (Shape::Map(a, c), Shape::Map(b, d)) => {
-                self.go_on(&pair, *a, *b);
-                self.go_on(&pair, *c, *d);
-            }
-            (Shape::Tuple(a), Shape::Tuple(b)) if a.len() == b.len() => {
-                for (a, b) in a.iter().zip(b.iter()) {
-                    self.go_on(&pair, *a, *b);
-                }
-            }
-            (Shape::Struct(m, a), Shape::Struct(n, b)) if m == n => {
-                self.compare_fields(&self.name(&pair.path), &pair.path, a, b);
-            }
-            (Shape::Enum(m, a), Shape::Enum(n, b)) if m == n => {
-                self.compare_variants(&pair.path, a, b);
-            }
-            _ => self.tell_types(&pair),
-        }
-    }
-
-    /// Compares a part of a type that has no name of its own.
-    fn go_on(&mut self, pair: &Pair, here: u32, there: u32) {
-        let Pair { ref path, field, whole, .. } = *pair;
-        self.open(Pair { here, there, path: path.clone(), field, whole });
-    }
-
     fn open(&mut self, pair: Pair) {
-        self.pairs += 1;
-        if self.pairs <= PAIR_LIMIT {
+        let is_named = matches!(self.here[pair.here as usize], Shape::Struct(..) | Shape::Enum(..));
+        let path = if is_named { String::new() } else { pair.path.clone() };
+        if self.seen.len() < PAIR_LIMIT && self.seen.insert((path, pair.here, pair.there)) {
             self.open.push_back(pair);
         }
     }
 
-    fn compare_fields(&mut self, owner: &str, path: &str, here: &Fields<u32>, there: &Fields<u32>) {
-        if std::mem::discriminant(here) != std::mem::discriminant(there) {
-            return self.tell(format!("{owner}: {} here, {} there", kind(here), kind(there)));
-        }
-        let (here, there) = (here.as_slice(), there.as_slice());
-        self.compare_names("field", path, &names(here, field_name), &names(there, field_name));
-        for a in here {
-            let Some(b) = there.iter().find(|b| b.name == a.name) else { continue };
-            let path = join(path, ".", &a.name);
-            self.compare_declared(&path, "unit", a.unit.as_ref(), b.unit.as_ref());
-            self.compare_declared(&path, "frame", a.frame.as_ref(), b.frame.as_ref());
-            let (here, there, field) = (a.of, b.of, self.pairs + 1);
-            self.open(Pair { here, there, path, field, whole: (here, there) });
+    fn compare(&mut self, pair: &Pair) {
+        let (here, there) = (self.here, self.there);
+        let (here, there) = (&here[pair.here as usize], &there[pair.there as usize]);
+        let path = &pair.path;
+        match (here, there) {
+            (Shape::Struct(m, a), Shape::Struct(n, b)) if m == n => self.compare_fields(path, a, b),
+            (Shape::Enum(m, a), Shape::Enum(n, b)) if m == n => {
+                let names = |all: &[Variant<u32>]| all.iter().map(|v| v.name.clone()).collect();
+                self.compare_names(("variant", "::"), path, names(a), names(b));
+                for a in a.iter() {
+                    if let Some(b) = b.iter().find(|b| b.name == a.name) {
+                        self.compare_fields(&join(path, "::", &a.name), &a.fields, &b.fields);
+                    }
+                }
+            }
+            // The same but for the types inside.
+            _ if here.map(|_| ()) == there.map(|_| ()) => {
+                for (here, there) in here.parts().into_iter().zip(there.parts()) {
+                    self.open(Pair { here, there, path: path.clone(), whole: pair.whole });
+                }
+            }
+            _ => {
+                let texts =
+                    |of: (u32, u32)| (type_text(self.here, of.0), type_text(self.there, of.1));
+                let (mut here, mut there) = texts(pair.whole);
+                if here == there {
+                    // The difference is deeper in than the shortened texts go.
+                    (here, there) = texts((pair.here, pair.there));
+                }
+                self.tell(format!("{}: {here} here, {there} there", self.name(path)));
+            }
         }
     }
 
-    fn compare_variants(&mut self, path: &str, here: &[Variant<u32>], there: &[Variant<u32>]) {
-        self.compare_names("variant", path, &names(here, |v| &v.name), &names(there, |v| &v.name));
+    fn compare_fields(&mut self, path: &str, here: &Fields<u32>, there: &Fields<u32>) {
+        if std::mem::discriminant(here) != std::mem::discriminant(there) {
+            let line = format!("{}: {} here, {} there", self.name(path), kind(here), kind(there));
+            return self.tell(line);
+        }
+        let (here, there) = (here.as_slice(), there.as_slice());
+        let names = |all: &[Field<u32>]| all.iter().map(|field| field.name.clone()).collect();
+        self.compare_names(("field", "."), path, names(here), names(there));
         for a in here {
-            if let Some(b) = there.iter().find(|b| b.name == a.name) {
-                let path = join(path, "::", &a.name);
-                let owner = format!("variant `{path}`{}", self.of_reply());
-                self.compare_fields(&owner, &path, &a.fields, &b.fields);
+            let Some(b) = there.iter().find(|b| b.name == a.name) else { continue };
+            let path = join(path, ".", &a.name);
+            for (what, here, there) in [("unit", &a.unit, &b.unit), ("frame", &a.frame, &b.frame)] {
+                if here != there {
+                    let [here, there] = [here, there].map(|text| {
+                        text.as_ref().map_or("none".to_owned(), |text| format!("`{text}`"))
+                    });
+                    let name = self.name(&path);
+                    self.tell(format!("{name}: {what} {here} here, {there} there"));
+                }
             }
+            self.open(Pair { here: a.of, there: b.of, path, whole: (a.of, b.of) });
         }
     }
 
     /// Tells which names stand on one side only, and whether the others stand in another order.
-    fn compare_names(&mut self, kind: &str, path: &str, here: &[&str], there: &[&str]) {
-        let separator = if kind == "variant" { "::" } else { "." };
-        let full = |name: &str| join(path, separator, name);
-        let of_reply = self.of_reply();
-        let only_here: Vec<&str> = without(here, there);
-        let only_there: Vec<&str> = without(there, here);
-        match (&only_here[..], &only_there[..]) {
-            ([a], [b]) if place(here, a) == place(there, b) => {
-                let line =
-                    format!("{kind} `{}`{of_reply} here is called `{}` there", full(a), full(b));
-                self.tell(line);
-            }
-            _ => {
-                for name in only_here {
-                    self.tell(format!("{kind} `{}`{of_reply}: only here", full(name)));
-                }
-                for name in only_there {
-                    self.tell(format!("{kind} `{}`{of_reply}: only there", full(name)));
-                }
-            }
-        }
-
-        let both_here: Vec<&str> = here.iter().copied().filter(|n| there.contains(n)).collect();
-        let both_there: Vec<&str> = there.iter().copied().filter(|n| here.contains(n)).collect();
-        let moved: Vec<&str> =
-            both_here.iter().zip(&both_there).filter(|(a, b)| a != b).map(|(a, _)| *a).collect();
-        match moved[..] {
-            [] => {}
-            [a, b] => {
-                let (a, b) = (full(a), full(b));
-                self.tell(format!("{kind}s `{a}` and `{b}`{of_reply} have changed places"));
-            }
-            _ => {
-                let owner = if path.is_empty() { self.name("") } else { format!("`{path}`") };
-                let (here, there) = (both_here.join(", "), both_there.join(", "));
-                self.tell(format!(
-                    "the {kind}s of {owner}{of_reply} stand in another order: {here} here; {there} there"
-                ));
-            }
-        }
-    }
-
-    fn compare_declared(
+    fn compare_names(
         &mut self,
+        (kind, separator): (&str, &str),
         path: &str,
-        what: &str,
-        here: Option<&Text>,
-        there: Option<&Text>,
+        here: Vec<Text>,
+        there: Vec<Text>,
     ) {
+        let of_reply = self.of_reply();
+        for (own, other, side) in [(&here, &there, "here"), (&there, &here, "there")] {
+            for name in own.iter().filter(|name| !other.contains(name)) {
+                let name = join(path, separator, name);
+                self.tell(format!("{kind} `{name}`{of_reply}: only {side}"));
+            }
+        }
+        let both = |own: &[Text], other: &[Text]| -> Vec<Text> {
+            own.iter().filter(|name| other.contains(name)).cloned().collect()
+        };
+        let (here, there) = (both(&here, &there), both(&there, &here));
         if here != there {
-            let text = |value: Option<&Text>| value.map_or("none".into(), |v| format!("`{v}`"));
-            let (here, there) = (text(here), text(there));
-            self.tell(format!("{}: {what} {here} here, {there} there", self.name(path)));
+            let owner = match path {
+                "" => self.name(path),
+                path => format!("`{path}`{of_reply}"),
+            };
+            let (here, there) = (here.join(", "), there.join(", "));
+            self.tell(format!(
+                "the {kind}s of {owner} stand in another order: {here} here; {there} there"
+            ));
         }
-    }
-
-    fn tell_types(&mut self, pair: &Pair) {
-        let here = type_text(self.here, pair.whole.0);
-        let there = type_text(self.there, pair.whole.1);
-        if here == there {
-            // The difference is deeper in than the shortened texts go.
-            let (here, there) =
-                (type_text(self.here, pair.here), type_text(self.there, pair.there));
-            return self
-                .tell(format!("inside {}: {here} here, {there} there", self.name(&pair.path)));
-        }
-        self.tell(format!("{}: {here} here, {there} there", self.name(&pair.path)));
     }
 
     fn tell(&mut self, line: String) {
-        if self.lines.len() <= LINE_LIMIT && self.lines.last() != Some(&line) {
+        if self.lines.len() <= LINE_LIMIT {
             self.lines.push(line);
         }
     }
@@ -269,18 +205,6 @@ impl Comparison<'_> {
     }
 }
 
-fn names<T>(items: &[T], name: impl Fn(&T) -> &Text) -> Vec<&str> {
-    items.iter().map(|item| name(item).as_ref()).collect()
-}
-
-fn without<'a>(names: &[&'a str], others: &[&str]) -> Vec<&'a str> {
-    names.iter().copied().filter(|name| !others.contains(name)).collect()
-}
-
-fn place(names: &[&str], name: &str) -> Option<usize> {
-    names.iter().position(|other| *other == name)
-}
-
 fn join(path: &str, separator: &str, name: &str) -> String {
     if path.is_empty() {
         return name.into();
@@ -290,10 +214,6 @@ fn join(path: &str, separator: &str, name: &str) -> String {
         Some((at, _)) if at > 0 => format!("…{}{separator}{name}", &path[at..]),
         _ => format!("{path}{separator}{name}"),
     }
-}
-
-fn field_name(field: &Field<u32>) -> &Text {
-    &field.name
 }
 
 fn kind(fields: &Fields<u32>) -> &'static str {

@@ -158,17 +158,6 @@ pub trait Described: Serialize + DeserializeOwned + 'static {
 
     /// The type's structure.
     fn layout() -> &'static Layout;
-
-    /// The vector of bytes that the encoding ends with, if it ends with one: a large one is sent as
-    /// it lies.
-    fn last_bytes(&mut self) -> Option<&mut Vec<u8>> {
-        None
-    }
-
-    /// A vector of these as one of bytes, if bytes is what they are.
-    fn bytes_in(_: &mut Vec<Self>) -> Option<&mut Vec<u8>> {
-        None
-    }
 }
 
 impl<R: Clone> Shape<R> {

@@ -4,8 +4,8 @@ use super::access::{PeerBound, PeerSubscription};
 use super::peer::{Binding, PendingCall, QueuedMessage};
 use super::reply_cache::RequestVerdict;
 use super::{
-    BINDINGS_MAX, CALLS_MAX, MessageTarget, PeerProtocol, PeerProtocolOutput, RemoteTopic,
-    TopicContract, control, refuse,
+    BINDINGS_MAX, CALLS_MAX, MessageTarget, PeerProtocol, PeerProtocolOutput, TopicContract,
+    control, refuse,
 };
 use crate::net::wire::message::{PeerMessage, TICK_US};
 use crate::net::wire::node_id::NodeId;
@@ -170,8 +170,7 @@ impl PeerProtocol {
             return;
         }
         let epoch = session.epoch;
-        let identity = self.take_in(peer, std::slice::from_ref(identity));
-        let Some(identity) = identity.and_then(|mut all| all.pop()).map(Box::new) else {
+        let Some(identity) = self.take_in(peer, identity).map(Box::new) else {
             let why = DeliveryError::Undecodable { reason: "the contract's identity".into() };
             let refused = PeerMessage::BindRefused { binding, why, identity: Bytes::new() };
             self.outputs.push_back(control(peer, &refused));
