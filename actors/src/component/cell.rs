@@ -30,7 +30,6 @@ use crate::platform;
 use crate::platform::lock;
 use crate::platform::panics::{self, PanicRecord};
 use crate::settings::FAULT_HOLD;
-use blastema_contract::child::RestartGrant;
 use blastema_contract::reports::{DeclaredFaultCleared, ExitReason, FaultDeclared};
 use blastema_core::detection::RoundLateness;
 use blastema_core::detection::hang::QueueReading;
@@ -43,7 +42,7 @@ use std::cell::Cell;
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::atomic::Ordering::Relaxed;
-use std::sync::atomic::{AtomicU8, AtomicU64};
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64};
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 use tracing::warn;
@@ -74,7 +73,8 @@ pub(crate) struct CellCore {
     /// The incarnation that began last.
     incarnation: AtomicU64,
     service: Mutex<MessageInService>,
-    order: Mutex<Option<RestartGrant>>,
+    /// Its guard may restart it once by itself.
+    granted: AtomicBool,
     cold: OnceLock<Box<ColdState>>,
 }
 
@@ -129,7 +129,7 @@ impl CellCore {
             }),
             incarnation: AtomicU64::new(0),
             service: Mutex::default(),
-            order: Mutex::default(),
+            granted: AtomicBool::new(false),
             cold: OnceLock::new(),
         }
     }
@@ -237,12 +237,13 @@ impl CellCore {
         lock(&self.state).arbiter.take()
     }
 
-    pub(crate) fn order(&self) -> Option<RestartGrant> {
-        *lock(&self.order)
+    /// Whether its guard may restart it by itself, once.
+    pub(crate) fn take_grant(&self) -> bool {
+        self.granted.swap(false, Relaxed)
     }
 
-    pub(crate) fn set_order(&self, order: Option<RestartGrant>) {
-        *lock(&self.order) = order;
+    pub(crate) fn grant_restart(&self, granted: bool) {
+        self.granted.store(granted, Relaxed);
     }
 
     /// Notes the end of an incarnation whose panic still unwinds on its thread: what the handler

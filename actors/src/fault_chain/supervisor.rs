@@ -368,7 +368,7 @@ impl Handler<SupervisorOrder> for SupervisorActor {
                 self.tell_parent(ChildEvent::ResetFailed { reason });
             }
             // The guardian restarts it itself; it needs no permission.
-            SupervisorOrder::Carry(ChildOrder::RestartGrant(_)) => {}
+            SupervisorOrder::Carry(ChildOrder::GrantRestart(_)) => {}
             SupervisorOrder::ExplainIsolation(reason) => {
                 self.children.values_mut().for_each(|child| child.explain_isolation(&reason));
             }

@@ -182,7 +182,7 @@ impl<C: Component> Child for ComponentChild<C> {
                 self.tell(self.cell.record.incarnation(), ChildEvent::ResetFailed { reason });
             }
             ChildOrder::Isolate(isolated) => self.cell.isolate(isolated),
-            ChildOrder::RestartGrant(grant) => self.cell.record.set_order(grant),
+            ChildOrder::GrantRestart(granted) => self.cell.record.grant_restart(granted),
         }
         false
     }

@@ -26,7 +26,7 @@ pub use plan::{Plan, PlanError};
 pub use recoverer::{
     Recoverer, RecovererLimits, RecovererOutput, RecoveryDone, RecoveryFailed, RecoveryOrder,
 };
-pub use rules::{ChildRules, Restart, RestartGrant, Strategy, SupervisorRules, WhenExceeded};
+pub use rules::{ChildRules, Restart, Strategy, SupervisorRules, WhenExceeded};
 pub use supervision::{
     CallId, ChildOrder, ChildState, ChildStatus, GiveUpReason, ReplacementCause, Supervisor,
     SupervisorOutput,

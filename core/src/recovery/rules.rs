@@ -141,13 +141,3 @@ impl SupervisorRules {
         self.strategy != Strategy::OneForOne || self.when_exceeded == WhenExceeded::Escalate
     }
 }
-
-/// "Panic: restart on the spot, up to `times` in `period`."
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct RestartGrant {
-    /// How many restarts the guard may make by itself in any one period, counting those that it has
-    /// made already since it was started.
-    pub times: u32,
-    /// The sliding window in which they are counted.
-    pub period: Duration,
-}

@@ -137,8 +137,8 @@ impl Child for Scripted {
             ChildOrder::Isolate(isolated) => {
                 self.call(if isolated { "isolate" } else { "admit" });
             }
-            ChildOrder::RestartGrant(grant) => {
-                self.call(if grant.is_some() { "order" } else { "withdraw" });
+            ChildOrder::GrantRestart(granted) => {
+                self.call(if granted { "order" } else { "withdraw" });
             }
             ChildOrder::ExpectEnd | ChildOrder::Retire => {}
         }

@@ -11,11 +11,10 @@ use crate::host::lifecycle::{EndReason, Hook, IncarnationLifecycle, LifecycleRep
 use crate::host::schedule::DueWork;
 use crate::liveness::label;
 use crate::messaging::death_watch::DownReason;
-use crate::platform;
 use crate::platform::panics;
-use blastema_contract::child::{ChildEvent, RestartGrant};
+use blastema_contract::child::ChildEvent;
 use blastema_contract::reports::{ExitReason, FaultDeclared, StateReported};
-use blastema_core::{DeliveryError, FaultKind, Incarnation, Lifecycle, SlidingWindow};
+use blastema_core::{DeliveryError, FaultKind, Incarnation, Lifecycle};
 use std::any::Any;
 use std::rc::Rc;
 use std::sync::Arc;
@@ -45,7 +44,7 @@ impl<C: Component> ComponentExecutor<C> {
         self.service.name()
     }
 
-    /// This incarnation has ended by a panic. Begins the next one where a standing order says so.
+    /// This incarnation has ended by a panic. Begins the next one where the supervisor has granted that.
     #[cold]
     pub(super) fn died(&mut self, payload: Box<dyn Any + Send>, during: &'static str) {
         let panics::PanicRecord { text, at } = panics::read(payload);
@@ -62,7 +61,8 @@ impl<C: Component> ComponentExecutor<C> {
         // Before what is the user's is dropped, which may block.
         self.cell.record.cold().exits.keep(incarnation, exit.clone());
         self.dispose_of_all(Blame::Log);
-        let restarted_as = self.may_restart().then(|| incarnation.next());
+        let may_restart = !self.lifecycle.is_ending() && self.cell.record.take_grant();
+        let restarted_as = may_restart.then(|| incarnation.next());
         let mine = match restarted_as {
             Some(next) => self.cell.queue.pass_on(incarnation, next),
             None => self.cell.queue.leave(incarnation),
@@ -93,19 +93,6 @@ impl<C: Component> ComponentExecutor<C> {
         record.record_fatal_message(incarnation);
         let why = DeliveryError::PeerDied { incarnation };
         record.record_dead_letter(contract, &why);
-    }
-
-    /// Draws on the standing order, if there is one.
-    pub(super) fn may_restart(&mut self) -> bool {
-        let Some(RestartGrant { times, period, .. }) = self.cell.record.order() else {
-            return false;
-        };
-        if self.lifecycle.is_ending() {
-            return false;
-        }
-        let deaths = self.deaths.get_or_insert_with(|| Box::new(SlidingWindow::new(times, period)));
-        deaths.set_bounds(times, period);
-        deaths.add((), platform::now())
     }
 
     /// Reports how an incarnation has ended to the monitor, the supervisor, and the watchers.

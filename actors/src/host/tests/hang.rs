@@ -1,6 +1,6 @@
 //! Hangs, fences, lost arbiters; silence and waiting.
 
-use super::{ChildOrder, Log, Stage, acc, logged, order};
+use super::{ChildOrder, Log, Stage, acc, logged, GRANT};
 use crate::arbiter::pool::ArbiterPool;
 use crate::liveness::sampler;
 use crate::liveness::sampler::SamplerGuard;
@@ -453,7 +453,7 @@ mod real {
             let spec = ChildSpec::new("relapsing", move || Relapsing(gate.clone()));
             let (mut child, relapsing) =
                 site.stage.start(spec.max_block(Duration::from_secs(60))).await;
-            child.order(order(1));
+            child.order(GRANT);
             relapsing.tell(Said(0)).unwrap();
             relapsing.tell(Said(1)).unwrap();
 

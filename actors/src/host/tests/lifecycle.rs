@@ -1,6 +1,6 @@
 //! The hooks, their order, and the reports about them.
 
-use super::{Stage, order};
+use super::{Stage, GRANT};
 use crate::messaging::death_watch::Watchable;
 use crate::messaging::injection::Injection;
 use crate::{ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Incarnation};
@@ -265,7 +265,7 @@ fn states_that_a_replacement_passes_through_in_one_poll_are_told_as_one() {
     paused(async {
         let stage = Stage::new();
         let (mut child, fragile) = stage.start(ChildSpec::new("fragile", || Fragile)).await;
-        child.order(order(3));
+        child.order(GRANT);
         stage.states.drain();
 
         fragile.tell(Die).unwrap();

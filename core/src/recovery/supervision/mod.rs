@@ -29,7 +29,6 @@ mod child;
 mod steps;
 #[cfg(test)]
 mod tests;
-mod timers;
 mod types;
 
 pub use child::{ChildState, ChildStatus, ReplacementCause};
@@ -37,7 +36,6 @@ pub use types::{CallId, ChildOrder, GiveUpReason, SupervisorOutput};
 
 use super::{ChildRules, Strategy, SupervisorRules};
 use crate::sorted::{SortedMap, SortedSet};
-use crate::timer::Timers;
 use crate::{Incarnation, Instant, Machine, ObjectName};
 use budget::Budget;
 use child::{ChildKey, ChildPhase, ChildTarget, SupervisedChild};
@@ -614,11 +612,15 @@ impl Machine for Supervisor {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        self.next_due()
+        self.timed.iter().filter_map(|key| self.children[key].due()).min()
     }
 
+    /// Gives up what children were asked to do and have not done in their time: to start, to end,
+    /// to be reset.
     fn handle_timeout(&mut self, now: Instant) {
-        self.fire_due(now);
+        let is_due = |key: &&ChildKey| self.children[*key].due().is_some_and(|due| due <= now);
+        let overdue: Vec<ChildKey> = self.timed.iter().filter(is_due).copied().collect();
+        overdue.into_iter().for_each(|key| self.handle_overdue(key, now));
         self.advance(now);
     }
 }

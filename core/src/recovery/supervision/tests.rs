@@ -84,10 +84,8 @@ impl Rig {
                     ChildOrder::Reset => format!("reset {child}"),
                     ChildOrder::Isolate(true) => format!("isolate {child}"),
                     ChildOrder::Isolate(false) => format!("admit {child}"),
-                    ChildOrder::RestartGrant(Some(grant)) => {
-                        format!("order {child} x{}", grant.times)
-                    }
-                    ChildOrder::RestartGrant(None) => format!("withdraw {child}"),
+                    ChildOrder::GrantRestart(true) => format!("grant {child}"),
+                    ChildOrder::GrantRestart(false) => format!("withdraw {child}"),
                 },
                 SupervisorOutput::Recovered { call, child, incarnation: Some(incarnation) } => {
                     format!("{} recovered {child} {incarnation}", call.0)

@@ -1,6 +1,5 @@
 //! What a supervisor is asked, what it wants done, and why it did not do something.
 
-use crate::recovery::RestartGrant;
 use crate::{Incarnation, ObjectName};
 use std::time::Duration;
 
@@ -100,8 +99,8 @@ pub enum ChildOrder {
     Reset,
     /// Forbid sending and receiving, or allow it again.
     Isolate(bool),
-    /// Leave a decision with the child's guard, or withdraw it.
-    RestartGrant(Option<RestartGrant>),
+    /// The child's guard may restart it once by itself after a panic, or no longer.
+    GrantRestart(bool),
 }
 
 /// An output of a supervisor.
