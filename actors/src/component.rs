@@ -7,7 +7,6 @@ pub(crate) mod control;
 pub(crate) mod declaration;
 pub(crate) mod envelope;
 pub(crate) mod environment;
-pub(crate) mod exits;
 pub(crate) mod extension;
 #[cfg(feature = "network")]
 mod far_watch;

@@ -11,12 +11,10 @@ use crate::component::cold_state::ColdState;
 use crate::component::control::{CommandQueue, HostCommand};
 use crate::component::declaration::CellListener;
 use crate::component::envelope::{BoxedEnvelope, Times, enqueue_time, seal_message};
-use crate::component::exits::DueExits;
 use crate::component::ports::QueuePort;
 use crate::component::subscription::Subscriptions;
 use crate::component::{Component, Handle};
 use crate::liveness::activity::ActivitySlotRef;
-use crate::liveness::label;
 use crate::liveness::limits::SharedLimits;
 use crate::liveness::sampler::AliveSource;
 use crate::messaging::death_watch::{Down, DownReason};
@@ -28,9 +26,9 @@ use crate::messaging::reply::{ReplyFuture, Responder};
 use crate::messaging::sink::MessageSink;
 use crate::platform;
 use crate::platform::lock;
-use crate::platform::panics::{self, PanicRecord};
+use crate::platform::panics;
 use crate::settings::FAULT_HOLD;
-use blastema_contract::reports::{DeclaredFaultCleared, ExitReason, FaultDeclared};
+use blastema_contract::reports::{DeclaredFaultCleared, FaultDeclared};
 use blastema_core::detection::RoundLateness;
 use blastema_core::detection::hang::QueueReading;
 use blastema_core::sorted::SortedMap;
@@ -244,31 +242,6 @@ impl CellCore {
 
     pub(crate) fn grant_restart(&self, granted: bool) {
         self.granted.store(granted, Relaxed);
-    }
-
-    /// Notes the end of an incarnation whose panic still unwinds on its thread: what the handler
-    /// had may block there when it is dropped. Its guard reports it where it catches it before.
-    pub(crate) fn keep_unwinding(&self, incarnation: Incarnation, placement: &CurrentPlacement) {
-        let heartbeat = &placement.arbiter.heartbeat;
-        if heartbeat.running() != Some(placement.slot.index) || heartbeat.is_here() {
-            return;
-        }
-        if let Some(PanicRecord { text, at }) = heartbeat.unwinding() {
-            let during = label::name(placement.slot.activity.read().during);
-            self.cold().exits.keep(incarnation, ExitReason::Panicked { text, at, during });
-        }
-    }
-
-    /// Notifies the monitor, and the supervisor, of the incarnations up to this one that have
-    /// ended.
-    pub(crate) fn tell_exits(&self, until: Incarnation) {
-        self.tell(DueExits::Until(until));
-    }
-
-    fn tell(&self, which: DueExits) {
-        if let Some(cold) = self.cold_if_used() {
-            cold.exits.tell(which, &self.name, &self.environment.reports);
-        }
     }
 
     #[inline]
@@ -536,10 +509,6 @@ impl<C: Component> AliveSource for ComponentCell<C> {
 
     fn round_lateness(&self) -> Option<RoundLateness> {
         self.record.cold_if_used()?.lateness.get()?.read()
-    }
-
-    fn tell_exits(&self) {
-        self.record.tell(DueExits::Settled);
     }
 }
 

@@ -14,9 +14,7 @@ use crate::runtime::pending_answer::PendingAnswer;
 use actix::prelude::*;
 use blastema_contract::child::{Child, ChildEvent, ChildOrder, ChildReport};
 use blastema_contract::monitor::IsolationReported;
-use blastema_contract::reports::{
-    Alive, AreYouAlive, ExitReason, Exited, FaultDeclared, StateReported,
-};
+use blastema_contract::reports::{Alive, AreYouAlive, ExitReason, FaultDeclared, StateReported};
 use blastema_contract::supervisor::{AddChild, GaveUp, ReadTree, Recovered, SupervisorOrder};
 use blastema_core::recovery::{
     CallId, ChildRules, GiveUpReason, Supervisor, SupervisorOutput, SupervisorRules,
@@ -415,19 +413,6 @@ impl Handler<ChildReport> for SupervisorActor {
                 machine.handle_escalated(&object, incarnation, reason, now);
             }
         }
-        self.drive(context);
-    }
-}
-
-/// What a guard reported to the monitor may be reported to the supervisor too; it counts a death
-/// only once.
-impl Handler<Exited> for SupervisorActor {
-    type Result = ();
-
-    fn handle(&mut self, message: Exited, context: &mut Context<Self>) {
-        let Exited { object, incarnation, exit, restarted_as } = message;
-        let now = platform::now();
-        self.machine.handle_died(&object, incarnation, in_order(&exit), restarted_as, now);
         self.drive(context);
     }
 }

@@ -52,12 +52,7 @@ impl<C: Component> ComponentChild<C> {
         let Some(incarnation) = self.cell.queue.evict() else { return false };
         record.environment.cut_short.fetch_add(1, Relaxed);
         let mut keeps_thread = false;
-        let placement = record.take_placement();
-        if let Some(placement) = &placement {
-            record.keep_unwinding(incarnation, placement);
-        }
-        record.tell_exits(incarnation);
-        if let Some(placement) = placement {
+        if let Some(placement) = record.take_placement() {
             placement.token.end();
             record.environment.watch_list.leave(placement.slot.index);
             let reading = placement.slot.activity.read();

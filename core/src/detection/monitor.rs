@@ -146,15 +146,6 @@ impl Monitor {
         if exit == ExitReason::Stopped && !self.objects.contains_key(object) {
             return;
         }
-        let is_older = |entry: &MonitoredObject| incarnation < entry.incarnation;
-        if self.objects.get(object).is_some_and(is_older)
-            && matches!(exit, ExitReason::Panicked { .. })
-        {
-            // That it panicked is reported in every case; of the present incarnation it says
-            // nothing.
-            let finding = Finding::Exited { exit, restarted_as };
-            return self.observe_object(object, incarnation, finding, now);
-        }
         let is_known = self.objects.contains_key(object);
         let Some(entry) = self.admit(object, incarnation) else { return };
         // Every component is enrolled before it begins.

@@ -345,25 +345,6 @@ fn what_is_seen_of_an_older_incarnation_is_ignored_and_counted() {
 }
 
 #[test]
-fn a_panic_of_an_older_incarnation_is_told_late_and_changes_nothing_else() {
-    let mut bench = Bench::new();
-    bench.see("arm", TWO, state(Lifecycle::Active));
-    bench.see("arm", ONE, exited(panicked()));
-    assert_eq!(bench.outputs(), ["Found 1", "Recovered 1"]);
-    assert_eq!(bench.state_of("arm"), Some((TWO, Lifecycle::Active)));
-
-    let mut bench = Bench::new();
-    bench.see("arm", TWO, hangs(&[]));
-    assert_eq!(bench.outputs(), ["Found 1", "+1"]);
-    bench.see("arm", ONE, Finding::Exited { exit: panicked(), restarted_as: Some(TWO) });
-    assert_eq!(bench.outputs(), ["Found 2"]);
-    bench.see("arm", ONE, exited(panicked()));
-    assert_eq!(bench.fault(2).count, 2);
-    bench.see("arm", Incarnation(3), state(Lifecycle::Active));
-    assert_eq!(bench.outputs(), ["Recovered 2", "Recovered 1", "-1"]);
-}
-
-#[test]
 fn an_incarnation_that_was_over_already_ends_without_a_second_fault() {
     for exit in [ExitReason::Returned, ExitReason::Fatal, ExitReason::Aborted, ExitReason::Stopped]
     {
