@@ -7,8 +7,6 @@ pub(crate) mod deadline {
 
     pub(crate) trait Cancel: Send + Sync {
         fn cancel(&self, why: DeliveryError);
-        #[expect(dead_code, reason = "only a request that is overdue is asked")]
-        fn asker(&self) -> Option<u32>;
     }
 
     pub(crate) struct Deadline;
@@ -22,10 +20,6 @@ pub(crate) mod deadline {
 
 pub(crate) mod heartbeat {
     pub(crate) struct ArbiterHeartbeat;
-
-    pub(crate) fn running_here() -> Option<u32> {
-        None
-    }
 
     impl ArbiterHeartbeat {
         pub(crate) fn beats_here() -> bool {

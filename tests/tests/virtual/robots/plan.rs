@@ -370,8 +370,7 @@ fn answers(random: &mut Random) -> Vec<(FaultKind, RecoveryAction)> {
         FaultKind::CheckFailed,
         FaultKind::Overload,
     ];
-    let actions = [RecoveryAction::Isolate, RecoveryAction::MoveToOwnThread];
-    (0..1 + below(random, 3)).map(|_| (one_of(random, &kinds), one_of(random, &actions))).collect()
+    (0..1 + below(random, 3)).map(|_| (one_of(random, &kinds), RecoveryAction::Isolate)).collect()
 }
 
 /// What goes wrong before the start is complete.
