@@ -79,15 +79,6 @@ pub trait Component: Sized + 'static {
         async { Ok(()) }
     }
 
-    /// The rate of `on_execute` has changed.
-    fn on_rate_changed(
-        &mut self,
-        cx: &mut Context<Self>,
-    ) -> impl Future<Output = Result<(), Failure>> {
-        let _ = cx;
-        async { Ok(()) }
-    }
-
     /// The component leaves work in order.
     fn on_deactivated(
         &mut self,

@@ -39,7 +39,6 @@ pub struct Detector {
     pause: Option<Pause>,
     outputs: VecDeque<DetectorOutput>,
     last_id: u64,
-    stale: u64,
     /// The node ends, and its components with it.
     ending: bool,
 }
@@ -184,7 +183,6 @@ impl Detector {
             pause: None,
             outputs: VecDeque::new(),
             last_id: 0,
-            stale: 0,
             ending: false,
         }
     }
@@ -230,11 +228,6 @@ impl Detector {
     /// The record, roots before their symptoms.
     pub fn read_record(&self) -> FaultRecord {
         self.fault_log.read()
-    }
-
-    /// How often something was seen of an incarnation that is over.
-    pub fn stale(&self) -> u64 {
-        self.stale
     }
 
     /// A fault was seen: it is counted if it stands already, else recorded and handed over.

@@ -445,11 +445,9 @@ impl<C: Component> ComponentExecutor<C> {
     /// Fulfils what a handler or hook asked for.
     fn grant(&mut self) {
         let wishes = self.state.take_wishes();
-        if let Some(interval) = wishes.interval
-            && self.schedule.set_interval(interval)
-        {
+        if let Some(interval) = wishes.interval {
+            self.schedule.set_interval(interval);
             self.service.slot.activity.run_every(interval);
-            self.lifecycle.handle_rate_changed();
         }
         if let Some(failure) = wishes.failure {
             self.cell.record.announce(|listener| listener.left_work(false));

@@ -21,7 +21,6 @@ impl Detector {
             return;
         }
         if scene.incarnation < seen.incarnation {
-            self.stale += 1;
             return;
         }
         let is_newer = scene.incarnation > seen.incarnation;
