@@ -60,7 +60,7 @@ impl Chain {
             strategies,
             context,
             detector: outcomes.recipient(),
-            callbacks: Callbacks::default(),
+            threads: None,
         };
         let name = "chain/recoverer".parse().expect("a good name");
         let make = move |_: &mut Context<RecovererActor>| RecovererActor::new(setup);
