@@ -9,7 +9,7 @@ use crate::{
     Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant, Lifecycle, Machine, NodeName,
     ObjectName,
 };
-use node_history::NodeHistories;
+use offence_history::OffenceHistory;
 use pause::Pause;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -34,7 +34,7 @@ pub struct Detector {
     objects: SortedMap<ObjectName, Seen>,
     needs: DependencyIndex,
     fault_log: FaultLog,
-    nodes: NodeHistories,
+    offences: OffenceHistory,
     /// The latest pause of this node, while links and nodes may suffer from it.
     pause: Option<Pause>,
     outputs: VecDeque<DetectorOutput>,
@@ -57,11 +57,6 @@ pub struct DetectorLimits {
     pub offences: u32,
     /// The period in which `offences` are counted.
     pub offences_period: Duration,
-    /// This many restarts of another node within `crash_loop_period` are a crash loop.
-    pub crash_loop_restarts: u32,
-    /// See `crash_loop_restarts`. A node that stays up for as long has ended its crash loop. Longer
-    /// finds slower loops, and keeps the fault for longer.
-    pub crash_loop_period: Duration,
     /// A pause of this length is a fault. A shorter one is a fault only if a link or node suffers
     /// from it, up to this long after it.
     pub pause: Duration,
@@ -83,11 +78,6 @@ impl Default for DetectorLimits {
             // minute is expected to crash again.
             offences: 5,
             offences_period: Duration::from_secs(60),
-            // An update and a second attempt restart a node twice; systemd itself ceases to start a
-            // unit after five times in ten seconds (systemd.unit(5), StartLimitBurst).
-            crash_loop_restarts: 3,
-            // systemd waits 0.1 s between two starts, a careful unit file up to 20 s.
-            crash_loop_period: Duration::from_secs(60),
             // Requests expire after as long, unless they say otherwise, and links are down before.
             pause: Duration::from_secs(1),
             // A link that has gone down four times lately comes up after 48 hellos, 2.4 s; then
@@ -179,7 +169,7 @@ impl Detector {
             objects: SortedMap::new(),
             needs: DependencyIndex::new(node),
             fault_log: FaultLog::new(limits.record),
-            nodes: NodeHistories::new(limits),
+            offences: OffenceHistory::new(limits),
             pause: None,
             outputs: VecDeque::new(),
             last_id: 0,
@@ -552,7 +542,7 @@ impl Machine for Detector {
     fn poll_timeout(&self) -> Option<Instant> {
         let pause = self.pause.as_ref().map(|pause| pause.until);
         let end = self.fault_log.next_end().map(|(due, _)| due);
-        [end, self.nodes.poll_timeout(), pause].into_iter().flatten().min()
+        end.into_iter().chain(pause).min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
@@ -561,14 +551,11 @@ impl Machine for Detector {
         {
             self.end_unhanded(id, now);
         }
-        while let Some(node) = self.nodes.pop_over(now) {
-            self.end_crash_loop(node, now);
-        }
         self.end_pause(now);
     }
 }
 
-mod node_history;
+mod offence_history;
 mod pause;
 mod rules;
 #[cfg(test)]

@@ -1,4 +1,5 @@
 use super::*;
+use crate::runtime::callbacks::Callbacks;
 use crate::fault_chain::strategy::{ApplyOutputs, RecoveryStrategy, SafeOutputs, StrategyTargets};
 use crate::fault_chain::supervisor::SupervisorChild;
 use crate::fault_chain::tests::scripted::{Bench, ScriptedReply, fault};

@@ -9,7 +9,6 @@ use blastema_contract::reports::ExitReason;
 use blastema_core::Lifecycle;
 use blastema_doubles::{paused, settle};
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
 use tokio::task::spawn_local;
 
 #[test]

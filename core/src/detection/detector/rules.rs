@@ -293,13 +293,8 @@ impl Detector {
             return;
         };
         match condition {
-            NodeCondition::Reachable => {
-                self.nodes.handle_reachable(&node, scene.at);
-                self.end_kind(&scene, &FaultKind::NodeLost);
-            }
+            NodeCondition::Reachable => self.end_kind(&scene, &FaultKind::NodeLost),
             NodeCondition::Left | NodeCondition::Removed => {
-                self.nodes.forget_restarts(&node);
-                self.end_kind(&scene, &FaultKind::CrashLoop);
                 self.end_kind(&scene, &FaultKind::NodeLost);
                 self.end_kind(&scene, &FaultKind::NodeInSafeState);
                 self.end_kind(&scene, &FaultKind::ConnectionLost);
@@ -313,9 +308,7 @@ impl Detector {
             // They are no findings.
             NodeCondition::Listed | NodeCondition::MayBeAway => {}
             NodeCondition::Lost { reason } => {
-                self.nodes.handle_lost(&node);
-                let cause = self.crash_loop_of(&scene);
-                let cause = self.pause_or(cause);
+                let cause = self.pause_or(Cause::Itself);
                 self.find(&scene, FaultKind::NodeLost, reason, cause);
             }
             NodeCondition::Paused { span } => self.judge_pause(&scene, span),
@@ -330,7 +323,7 @@ impl Detector {
             }
             NodeCondition::Relieved => self.end_overload(&scene),
             NodeCondition::Offends { what } => {
-                if let Some(detail) = self.nodes.handle_offence(&node, what, scene.at) {
+                if let Some(detail) = self.offences.handle_offence(&node, what, scene.at) {
                     self.find(&scene, FaultKind::NodeFaulty, detail, Cause::Itself);
                 }
             }
@@ -339,7 +332,7 @@ impl Detector {
                 self.find(&scene, FaultKind::NodeFaulty, detail, Cause::Itself);
             }
             NodeCondition::Admitted => {
-                self.nodes.handle_admitted(&node);
+                self.offences.handle_admitted(&node);
                 self.end_kind(&scene, &FaultKind::NodeFaulty);
             }
             NodeCondition::MessagesLost { detail } => {
@@ -349,19 +342,10 @@ impl Detector {
             NodeCondition::InSession => self.end_kind(&scene, &FaultKind::ConnectionLost),
             NodeCondition::Restarted => {
                 self.end_kind(&scene, &FaultKind::NodeInSafeState);
-                if let Some(count) = self.nodes.handle_restarted(&node, scene.at) {
-                    let period = self.limits.crash_loop_period;
-                    let detail = format!(
-                        "its process died and was started again {count} times, and never stayed \
-                         up for {period:?}"
-                    );
-                    self.find(&scene, FaultKind::CrashLoop, detail, Cause::Itself);
-                }
                 let known = self.fault_log.open_fault(&scene.location, &FaultKind::NodeLost);
                 let id = known.unwrap_or_else(|| {
                     let detail = "its process died and began again".into();
-                    let cause = self.crash_loop_of(&scene);
-                    self.record(&scene, FaultKind::NodeLost, detail, cause)
+                    self.record(&scene, FaultKind::NodeLost, detail, Cause::Itself)
                 });
                 self.recover(id, scene.at);
                 self.end(id, scene.at);
@@ -388,19 +372,6 @@ impl Detector {
         };
         let mut causes = self.fault_log.latest_first().filter(is_cause).filter(lately);
         causes.next().map_or(Cause::Itself, |fault| Cause::Known(fault.id))
-    }
-
-    /// A node that has stayed up for long enough is in a crash loop no more.
-    pub(super) fn end_crash_loop(&mut self, node: NodeName, at: Instant) {
-        let scene =
-            Scene { location: FaultLocation::Node(node), incarnation: Incarnation::default(), at };
-        self.end_kind(&scene, &FaultKind::CrashLoop);
-    }
-
-    /// A death in a crash loop is a symptom of that.
-    fn crash_loop_of(&self, scene: &Scene) -> Cause {
-        let known = self.fault_log.open_fault(&scene.location, &FaultKind::CrashLoop);
-        known.map_or(Cause::Itself, Cause::Known)
     }
 
     /// A node that leaves in order takes its ends of the cables along.
