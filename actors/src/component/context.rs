@@ -216,9 +216,9 @@ impl<C: Component> Context<C> {
 
     /// Announces that what is in service takes up to `span`: until the guard that is returned is
     /// dropped, it is taken neither for hanging nor for silent before that. Of operations that lie
-    /// within one another the one that is to end last counts.
+    /// within one another the longest counts.
     pub fn long_operation(&self, span: Duration) -> LongOperation {
-        self.state.operations().begin(span)
+        LongOperation::begin(self.state.activity, self.state.token.clone(), span)
     }
 
     /// Changes how often `on_execute` is called; `None` for never. The interval is not checked: one
