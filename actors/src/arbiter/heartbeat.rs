@@ -137,9 +137,7 @@ impl ArbiterHeartbeat {
             return None;
         }
         let beating = Beating(self.clone());
-        if let Some(here) = ThreadNumber::here() {
-            let _ = self.thread.set(here);
-        }
+        let _ = self.thread.set(ThreadNumber::here());
         self.time.store(platform::now().as_nanos(), Relaxed);
         Some(async move {
             let _beating = beating;

@@ -109,7 +109,7 @@ impl ComponentRecord {
     ) {
         let Some(reading) = self.reading else { return };
         let slot = around.slot;
-        let max_delay = self.lateness.max_delay(&self.judged.limits);
+        let max_delay = self.judged.limits.max_delay;
         let window = around.config.window;
         let root = if around.is_busy { around.kept_by(window) } else { None };
         let at = (now, around.missed);
