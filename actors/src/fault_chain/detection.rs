@@ -1,6 +1,6 @@
 //! The actor around monitor, detector and notifier.
 
-use crate::fault_chain::log::FaultPrinter;
+use crate::fault_chain::log::log_step;
 use crate::platform;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::answers_the_monitor;
@@ -52,7 +52,6 @@ pub(crate) struct DetectionActor {
     /// Where the machine's ports lead.
     recoverers: SortedMap<RecovererPort, (Recipient<Recover>, Option<Recipient<CancelRecovery>>)>,
     listeners: Vec<Recipient<FaultEvent>>,
-    log: FaultPrinter,
 }
 
 impl DetectionActor {
@@ -65,7 +64,6 @@ impl DetectionActor {
             pings: SortedMap::new(),
             recoverers: SortedMap::new(),
             listeners: Vec::new(),
-            log: FaultPrinter::default(),
         }
     }
 
@@ -147,7 +145,7 @@ impl DetectionActor {
     }
 
     fn tell(&mut self, event: FaultEvent) {
-        self.log.step(&self.node, &event);
+        log_step(&self.node, &event);
         // A fault is reported at most once per turn, and repetitions at powers of two: the latches
         // are what bounds a slow listener's mailbox.
         self.listeners.retain(Recipient::connected);

@@ -137,12 +137,12 @@ impl<C: Component> Child for ComponentChild<C> {
         let cell = Some(self.cell.clone());
         let pending = PendingStart { cell, incarnation, report, control };
         self.arbiter = Some(arbiter.clone());
-        let begin = move |arbiter| {
+        let handle = arbiter.handle.clone();
+        handle.spawn_fn(move || {
             if let Some(executor) = pending.enter(arbiter) {
                 actix_rt::spawn(executor);
             }
-        };
-        arbiters.start_on(arbiter, Box::new(begin));
+        });
         incarnation
     }
 

@@ -7,7 +7,7 @@ use crate::registry::Registry;
 use crate::runtime::reports::FaultReports;
 use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};
 use blastema_core::detection::RecoveryOutcome;
-use blastema_core::recovery::{Ladder, Plan, RecovererLimits, SupervisorRules};
+use blastema_core::recovery::{Ladder, Plan, RecovererLimits, RecoveryDone, SupervisorRules};
 use blastema_core::{Fault, FaultId, FaultKind, FaultLocation, NodeName};
 use blastema_doubles::{Probe, paused, settle};
 use std::sync::Arc;
