@@ -290,3 +290,24 @@ impl Fault {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde::de::IntoDeserializer;
+    use serde::de::value::{Error, StrDeserializer};
+
+    fn parsed(name: &str) -> Result<FaultKind, Error> {
+        let name: StrDeserializer<'_, Error> = name.into_deserializer();
+        FaultKind::deserialize(name)
+    }
+
+    #[test]
+    fn every_built_in_kind_has_its_row() {
+        // Of what is no kind, serde says which kinds there are, each between backticks.
+        let error = parsed("").expect_err("no kind").to_string();
+        let names = error.split('`').skip(3).step_by(2).filter(|name| *name != "Custom");
+        let kinds: Vec<_> = names.map(|name| parsed(name).expect("a kind")).collect();
+        assert!(FaultKind::built_in().eq(&kinds));
+    }
+}
