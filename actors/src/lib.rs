@@ -296,8 +296,8 @@ pub mod recovery {
 pub mod detection {
     pub use blastema_core::detection::{
         CheckFailed, CurrentHandler, FaultEntry, FaultRecord, FaultStatus, FaultTransition,
-        Liveness, MonitorRow, ObjectKind, Opinion, Pull, Push, QueueSample,
-        Range, Rate, RegistrationError, RoundLateness,
+        Liveness, MonitorRow, ObjectKind, Opinion, Pull, Push, QueueSample, Range, Rate,
+        RegistrationError, RoundLateness,
     };
 }
 

@@ -66,24 +66,25 @@ impl RecovererActor {
         info!(location = %order.fault.location, action = %order.action, attempt = order.attempt, "recovering");
         let strategy = self.strategy(&order.action);
         let (given, strategy_context) = (order.clone(), self.setup.context.clone());
-        let carried_out = async move {
-            let within = given.within;
-            let orders = match strategy {
-                Ok(Some(orders)) => orders,
-                Ok(None) => {
-                    let work = timeout(within, strategy_context.carry_out(&given)).await;
-                    let overdue = |_| Err(format!("not done within {within:?}").into());
-                    return Ok(work.unwrap_or_else(overdue));
+        let carried_out =
+            async move {
+                let within = given.within;
+                let orders = match strategy {
+                    Ok(Some(orders)) => orders,
+                    Ok(None) => {
+                        let work = timeout(within, strategy_context.carry_out(&given)).await;
+                        let overdue = |_| Err(format!("not done within {within:?}").into());
+                        return Ok(work.unwrap_or_else(overdue));
+                    }
+                    Err(failed) => return Ok(Err(failed)),
+                };
+                let limit = within.saturating_add(ANSWER_MARGIN);
+                match timeout(limit, orders.send(ExecuteAction(given))).await {
+                    Ok(answer) => Ok(answer
+                        .unwrap_or_else(|_| Err("the strategy ended without an answer".into()))),
+                    Err(_) => Err(orders),
                 }
-                Err(failed) => return Ok(Err(failed)),
             };
-            let limit = within.saturating_add(ANSWER_MARGIN);
-            match timeout(limit, orders.send(ExecuteAction(given))).await {
-                Ok(answer) => Ok(answer
-                    .unwrap_or_else(|_| Err("the strategy ended without an answer".into()))),
-                Err(_) => Err(orders),
-            }
-        };
         let settle = move |answer, recoverer: &mut Self, context: &mut _| match answer {
             Ok(outcome) => {
                 recoverer.setup.machine.handle_outcome(order.number, outcome, platform::now());

@@ -30,7 +30,6 @@ use std::time::Duration;
 /// of a fault of that one, and is cleared when that one ends in order and none follows.
 #[derive(Clone, Debug)]
 pub struct Detector {
-    limits: DetectorLimits,
     objects: SortedMap<ObjectName, Seen>,
     needs: DependencyIndex,
     fault_log: FaultLog,
@@ -43,49 +42,23 @@ pub struct Detector {
     ending: bool,
 }
 
-/// The bounds of a [`Detector`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct DetectorLimits {
-    /// How many faults the record holds. More remembers longer; an entry takes some hundred bytes.
-    pub record: usize,
-    /// How long after a symptom its root may be found. Longer explains more, and wrongly at times.
-    pub hindsight: Duration,
-    /// How long the next incarnation of an object that was stopped may take to begin. Longer leaves
-    /// faults of one that was stopped for good standing.
-    pub next_incarnation: Duration,
-    /// So many offences of another node within `offences_period` are a fault. More forgives more.
-    pub offences: u32,
-    /// The period in which `offences` are counted.
-    pub offences_period: Duration,
-    /// A pause of this length is a fault. A shorter one is a fault only if a link or node suffers
-    /// from it, up to this long after it.
-    pub pause: Duration,
-    /// The time for links and other nodes to return after a pause that is a fault. A link or node
-    /// that is still down then has a fault of its own.
-    pub after_pause: Duration,
-}
-
-impl Default for DetectorLimits {
-    fn default() -> Self {
-        DetectorLimits {
-            // A day with a fault every minute and a half.
-            record: 1024,
-            // Links over wireless, the slowest, find a fault within two seconds.
-            hindsight: Duration::from_secs(2),
-            // A supervisor starts it in milliseconds.
-            next_incarnation: Duration::from_secs(1),
-            // A flood is reported every three seconds. A process that crashes five times in a
-            // minute is expected to crash again.
-            offences: 5,
-            offences_period: Duration::from_secs(60),
-            // Requests expire after as long, unless they say otherwise, and links are down before.
-            pause: Duration::from_secs(1),
-            // A link that has gone down four times lately comes up after 48 hellos, 2.4 s; then
-            // routes and sessions follow.
-            after_pause: Duration::from_secs(5),
-        }
-    }
-}
+/// How many faults the record holds: a day with a fault every minute and a half. An entry takes some
+/// hundred bytes.
+pub const FAULTS_ON_RECORD: usize = 1024;
+/// How long after a symptom its root may be found. Links over wireless, the slowest, find a fault
+/// within two seconds. Longer explains more, and wrongly at times.
+const HINDSIGHT: Duration = Duration::from_secs(2);
+/// How long the next incarnation of an object that was stopped may take to begin: a supervisor
+/// starts it in milliseconds. Longer leaves faults of one that was stopped for good standing.
+const NEXT_INCARNATION: Duration = Duration::from_secs(1);
+/// A pause of this length is a fault: requests expire after as long, unless they say otherwise, and
+/// links are down before. A shorter one is a fault only if a link or node suffers from it, up to
+/// this long after it.
+const PAUSE: Duration = Duration::from_secs(1);
+/// The time for links and other nodes to return after a pause that is a fault. A link that has gone
+/// down four times lately comes up after 48 hellos, 2.4 s; then routes and sessions follow. A link
+/// or node that is still down then has a fault of its own.
+const AFTER_PAUSE: Duration = Duration::from_secs(5);
 
 /// An output of a [`Detector`].
 #[derive(Clone, Debug, PartialEq)]
@@ -163,13 +136,12 @@ enum Cause {
 
 impl Detector {
     /// A detector of `node` with an empty record.
-    pub fn new(node: NodeName, limits: DetectorLimits) -> Self {
+    pub fn new(node: NodeName) -> Self {
         Detector {
-            limits,
             objects: SortedMap::new(),
             needs: DependencyIndex::new(node),
-            fault_log: FaultLog::new(limits.record),
-            offences: OffenceHistory::new(limits),
+            fault_log: FaultLog::new(FAULTS_ON_RECORD),
+            offences: OffenceHistory::default(),
             pause: None,
             outputs: VecDeque::new(),
             last_id: 0,
@@ -335,7 +307,7 @@ impl Detector {
         }
         let location = entry.fault.location.clone();
         let root = self.fault_log.root(id);
-        let since = at - (Instant::ORIGIN + self.limits.hindsight);
+        let since = at - (Instant::ORIGIN + HINDSIGHT);
         let is_behind = |fault: &Fault| match &fault.location {
             FaultLocation::Object(address) => self.behind(&address.object) == Some(id),
             _ => false,
@@ -491,7 +463,7 @@ impl Detector {
     /// unless it was stopped to be replaced: then that incarnation begins soon.
     fn end_unhanded_at(&mut self, location: &FaultLocation, at: Instant) {
         let ended: Vec<FaultId> = self.unhanded_at(location).map(|fault| fault.id).collect();
-        let due = Some(at + self.limits.next_incarnation);
+        let due = Some(at + NEXT_INCARNATION);
         for id in ended {
             if let Some(entry) = self.fault_log.entry_mut(id) {
                 entry.end_due = due;

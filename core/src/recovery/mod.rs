@@ -24,7 +24,7 @@ pub use crate::backoff::Backoff;
 pub use ladder::{Ladder, LadderStep, RecoveryAction};
 pub use plan::{Plan, PlanError};
 pub use recoverer::{
-    Recoverer, RecovererLimits, RecovererOutput, RecoveryDone, RecoveryFailed, RecoveryOrder,
+    CASES_MAX, Recoverer, RecovererOutput, RecoveryDone, RecoveryFailed, RecoveryOrder,
 };
 pub use rules::{ChildRules, Restart, Strategy, SupervisorRules, WhenExceeded};
 pub use supervision::{

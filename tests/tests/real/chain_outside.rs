@@ -193,8 +193,7 @@ fn a_strategy_that_blocks_again_and_again_is_not_called_any_more_and_the_node_go
         let (hold, held) = channel();
         let held = Arc::new(Mutex::new(held));
         let rusty = RecoveryAction::Custom("rusty".into());
-        let ladder =
-            Ladder::first(rusty).times(12).within(LIMIT).then(RecoveryAction::Restart);
+        let ladder = Ladder::first(rusty).times(12).within(LIMIT).then(RecoveryAction::Restart);
         let builder = robot(ladder).recovery("rusty", move || Rusty(held.clone()));
         let node = builder.start().await.unwrap();
 

@@ -50,7 +50,9 @@ impl ReportOutbox {
 
     /// Keeps only the ends of incarnations before this one.
     pub(super) fn retain_deaths_before(&mut self, present: Incarnation) {
-        self.reports.retain(|report| matches!(report, DeferredReport::Exited(of) if of.incarnation < present));
+        self.reports.retain(
+            |report| matches!(report, DeferredReport::Exited(of) if of.incarnation < present),
+        );
     }
 
     /// Sends all reports.

@@ -1,6 +1,6 @@
 //! Timers, tasks, threads and isolation.
 
-use super::{Log, Stage, logged, GRANT};
+use super::{GRANT, Log, Stage, logged};
 use crate::liveness::sampler::AliveSource;
 use crate::platform;
 use crate::{

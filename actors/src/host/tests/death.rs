@@ -1,6 +1,6 @@
 //! Panics, grants of restarts, aborts, death watch.
 
-use super::{Acc, Boom, ChildOrder, Note, Slow, Stage, acc, boom, logged, GRANT};
+use super::{Acc, Boom, ChildOrder, GRANT, Note, Slow, Stage, acc, boom, logged};
 use crate::{
     ChildSpec, Component, Context, DeliveryError, Down, DownReason, Event, Handle, Incarnation,
 };

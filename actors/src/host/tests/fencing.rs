@@ -1,6 +1,6 @@
 //! What a component left behind in threads, tasks and publishers is fenced with its incarnation.
 
-use super::{Boom, ChildOrder, Log, Stage, boom, logged, GRANT};
+use super::{Boom, ChildOrder, GRANT, Log, Stage, boom, logged};
 use crate::arbiter::pool::ArbiterPool;
 use crate::topic::Publisher;
 use crate::{ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Ports};

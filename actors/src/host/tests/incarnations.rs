@@ -1,6 +1,6 @@
 //! No two incarnations of one component have one number, in whatever way they begin.
 
-use super::{Add, Boom, ChildOrder, Slow, Stage, acc, boom, GRANT};
+use super::{Add, Boom, ChildOrder, GRANT, Slow, Stage, acc, boom};
 use crate::arbiter::pool::ArbiterPool;
 use crate::{ChildSpec, Component, Context, DeliveryError, Failure, Handle, Incarnation, Ports};
 use blastema_contract::child::ChildEvent;

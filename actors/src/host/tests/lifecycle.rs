@@ -1,6 +1,6 @@
 //! The hooks, their order, and the reports about them.
 
-use super::{Stage, GRANT};
+use super::{GRANT, Stage};
 use crate::messaging::death_watch::Watchable;
 use crate::messaging::injection::Injection;
 use crate::{ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Incarnation};

@@ -1,6 +1,6 @@
 //! Every death is reported, also where a second panic follows before the first was reported.
 
-use super::{ChildOrder, Log, Stage, logged, GRANT};
+use super::{ChildOrder, GRANT, Log, Stage, logged};
 use crate::arbiter::pool::ArbiterPool;
 use crate::{ChildSpec, Component, Context, Event, Handle, Incarnation, Ports};
 use blastema_contract::child::ChildEvent;

@@ -1,6 +1,6 @@
 //! Names, and the way in from outside the process.
 
-use super::{Add, Boom, Note, Stage, acc, boom, logged, GRANT};
+use super::{Add, Boom, GRANT, Note, Stage, acc, boom, logged};
 use crate::registry::{MessageMetadata, ReplyTo};
 use crate::{
     Blob, ChildSpec, Component, Context, DeadReason, DeliveryError, Handle, Incarnation,

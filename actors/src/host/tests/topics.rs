@@ -1,6 +1,6 @@
 //! Publish and subscribe.
 
-use super::{Boom, Log, Stage, boom, logged, GRANT};
+use super::{Boom, GRANT, Log, Stage, boom, logged};
 use crate::topic::{EventForward, Reservation, TopicKey};
 use crate::{
     ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Ports, WhenFull,

@@ -1,6 +1,6 @@
 //! Death watch: no notice is lost to a full queue, and no watch outlives its watcher.
 
-use super::{Acc, Add, Boom, Stage, acc, boom, GRANT};
+use super::{Acc, Add, Boom, GRANT, Stage, acc, boom};
 use crate::messaging::queue::WhenFull;
 use crate::{
     ActorRef, ChildSpec, Component, Context, DeliveryError, Down, DownReason, Event, Failure,

@@ -27,7 +27,7 @@ use blastema_contract::notifier::AddPort;
 use blastema_contract::reports::AreYouAlive;
 use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};
 use blastema_core::detection::{RecovererPort, RegistrationError};
-use blastema_core::recovery::{self, RecovererLimits};
+use blastema_core::recovery;
 use blastema_core::sorted::SortedSet;
 use blastema_core::{Fault, FaultKind, Incarnation, NodeName, ObjectName};
 use std::sync::atomic::Ordering::Relaxed;
@@ -215,7 +215,7 @@ pub(super) fn make_chain(
     let spec = platform::random_seed();
     let plan = builder.plan.clone();
     let setup = RecovererSetup {
-        machine: recovery::Recoverer::new(node.clone(), plan, RecovererLimits::default(), spec),
+        machine: recovery::Recoverer::new(node.clone(), plan, spec),
         strategies: builder.strategies.clone(),
         context,
         detector: monitor.clone().recipient(),

@@ -3,25 +3,25 @@
 //! One offence is an accident: a peer that was restarted, a cable that spoils frames. Several
 //! within a while are a node that cannot be recovered from here, and is better kept out.
 
-use super::DetectorLimits;
 use crate::sorted::SortedMap;
 use crate::{Instant, NodeName, SlidingWindow};
+use std::time::Duration;
 
 /// Nodes that are remembered, at most: as many as a router knows.
 const NODES_MAX: usize = 256;
+/// So many offences of another node within the period are a fault. A flood is reported every three
+/// seconds. More forgives more.
+const OFFENCES: u32 = 5;
+/// The period in which offences are counted.
+const PERIOD: Duration = Duration::from_secs(60);
 
 /// The latest offences of other nodes.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct OffenceHistory {
-    limits: DetectorLimits,
     nodes: SortedMap<NodeName, SlidingWindow<String>>,
 }
 
 impl OffenceHistory {
-    pub(super) fn new(limits: DetectorLimits) -> Self {
-        OffenceHistory { limits, nodes: SortedMap::new() }
-    }
-
     /// A node has done harm. Answers what it has done, each time that it was once too often.
     pub(super) fn handle_offence(
         &mut self,
@@ -35,8 +35,7 @@ impl OffenceHistory {
             let oldest = oldest.map(|(node, _)| node.clone());
             oldest.map(|oldest| self.nodes.remove(&oldest));
         }
-        let DetectorLimits { offences: limit, offences_period: period, .. } = self.limits;
-        let fresh = || SlidingWindow::new(limit.max(1), period);
+        let fresh = || SlidingWindow::new(OFFENCES, PERIOD);
         let offences = self.nodes.entry(node.clone()).or_insert_with(fresh);
         if !offences.push(what, at) {
             return None;
@@ -45,7 +44,7 @@ impl OffenceHistory {
         offences.events().for_each(|what| *kinds.entry(what).or_default() += 1);
         let kinds: Vec<_> =
             kinds.iter().map(|(what, times)| format!("{times} times {what}")).collect();
-        Some(format!("within {period:?}: {}", kinds.join("; ")))
+        Some(format!("within {PERIOD:?}: {}", kinds.join("; ")))
     }
 
     /// The node is no longer isolated: its offences are forgotten.
@@ -57,13 +56,6 @@ impl OffenceHistory {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::time::Duration;
-
-    /// A history in which three offences within a minute are too many.
-    fn history() -> OffenceHistory {
-        let offences_period = Duration::from_secs(60);
-        OffenceHistory::new(DetectorLimits { offences: 3, offences_period, ..Default::default() })
-    }
 
     fn node(name: &str) -> NodeName {
         NodeName::new(name).expect("a good name")
@@ -75,25 +67,27 @@ mod tests {
 
     #[test]
     fn several_offences_within_the_period_are_too_many_and_spread_ones_never() {
-        let mut nodes = history();
+        let mut nodes = OffenceHistory::default();
         let mut offends = |name: &str, second: u64| {
             nodes.handle_offence(&node(name), "it floods".into(), at(second)).is_some()
         };
 
-        let spread: Vec<_> = [0, 40, 80, 120, 160].map(|at| offends("a", at)).into();
+        let spread: Vec<_> = [0, 20, 40, 61, 81].map(|at| offends("a", at)).into();
         assert_eq!(spread, [false; 5]);
-        let dense: Vec<_> = [300, 310, 360, 365, 500].map(|at| offends("b", at)).into();
-        assert_eq!(dense, [false, false, true, true, false]);
+        let dense: Vec<_> = [300, 310, 320, 330, 360, 365, 500].map(|at| offends("b", at)).into();
+        assert_eq!(dense, [false, false, false, false, true, true, false]);
     }
 
     #[test]
     fn the_reason_counts_what_was_done_and_an_admitted_node_has_done_nothing() {
-        let mut nodes = history();
+        let mut nodes = OffenceHistory::default();
         let mut offends = |what: &str| nodes.handle_offence(&node("a"), what.into(), at(1));
-        assert_eq!((offends("it died"), offends("it floods")), (None, None));
+        for _ in 0..2 {
+            assert_eq!((offends("it died"), offends("it floods")), (None, None));
+        }
 
-        let reason = offends("it died").expect("it is the third");
-        assert_eq!(reason, "within 60s: 2 times it died; 1 times it floods");
+        let reason = offends("it died").expect("it is the fifth");
+        assert_eq!(reason, "within 60s: 3 times it died; 2 times it floods");
 
         nodes.handle_admitted(&node("a"));
         assert_eq!(nodes.handle_offence(&node("a"), "it died".into(), at(1)), None);
@@ -101,7 +95,7 @@ mod tests {
 
     #[test]
     fn of_too_many_nodes_the_one_that_offended_longest_ago_is_forgotten() {
-        let mut nodes = history();
+        let mut nodes = OffenceHistory::default();
         for n in 0..1000 {
             let offence = nodes.handle_offence(&node(&format!("n{n}")), "it floods".into(), at(n));
             assert_eq!(offence, None);

@@ -1,6 +1,6 @@
 //! What each finding means: the detector's opinion of objects, links and nodes.
 
-use super::{Cause, Detector, Scene, Seen};
+use super::{AFTER_PAUSE, Cause, Detector, HINDSIGHT, Scene, Seen};
 use crate::detection::{ExitReason, Finding, LinkCondition, NodeCondition, OverloadFigures};
 use crate::{
     Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant, Lifecycle, NodeName, ObjectName,
@@ -359,7 +359,7 @@ impl Detector {
         let lately = |fault: &&Fault| {
             let entry = self.fault_log.entry(fault.id);
             let ended = entry.and_then(|entry| entry.repaired_at);
-            ended.is_none_or(|at| scene.at - at <= self.limits.after_pause)
+            ended.is_none_or(|at| scene.at - at <= AFTER_PAUSE)
         };
         let is_cause = |fault: &&Fault| match &fault.location {
             FaultLocation::Node(_) => {
@@ -393,7 +393,7 @@ impl Detector {
     /// The hang that kept the thread; where the culprit was cut off before it was found to hang,
     /// what was found of the culprit shortly before.
     fn cause_of_loss(&self, victim: &ObjectName, culprit: &ObjectName, at: Instant) -> Cause {
-        let since = at - (Instant::ORIGIN + self.limits.hindsight);
+        let since = at - (Instant::ORIGIN + HINDSIGHT);
         let is_at_culprit = |fault: &Fault| match &fault.location {
             FaultLocation::Object(address) => address.object == *culprit,
             _ => false,

@@ -11,6 +11,11 @@ const ROUNDS_LEAST: u64 = 10;
 /// Messages of one window whose sender did not wait any more: fewer are callers that changed their
 /// mind.
 const EXPIRED_LEAST: u64 = 3;
+/// Over how long, at least, rounds and expired requests are counted. Two such windows in a row must
+/// be bad. Shorter reports single delays; longer finds an overload later.
+pub(super) const WINDOW: Duration = Duration::from_secs(1);
+/// How long messages must have been late before that is an overload. Shorter reports single bursts.
+const DWELL: Duration = Duration::from_millis(500);
 /// Windows in a row that must be bad.
 const WINDOWS: u32 = 2;
 
@@ -82,7 +87,7 @@ impl Lateness {
         &mut self,
         limits: &HangLimits,
         reading: &ComponentSample,
-        (span, root): (Duration, Option<OverloadRoot>),
+        root: Option<OverloadRoot>,
         at @ (now, blind): (Instant, Duration),
     ) -> Option<Counts> {
         let next = Window::new(at, reading);
@@ -90,7 +95,7 @@ impl Lateness {
         let missed = next.missed_ticks.saturating_sub(window.missed_ticks);
         let due = missed + u64::from(next.ticks.wrapping_sub(window.ticks));
         let is_full = due >= ROUNDS_LEAST || reading.interval.is_zero();
-        if now - window.since >= span && is_full {
+        if now - window.since >= WINDOW && is_full {
             let limit = u64::from(limits.max_missed_percent);
             let rounds = due >= ROUNDS_LEAST && missed * 100 > due * limit;
             let expired = reading.expired.saturating_sub(window.expired);
@@ -109,13 +114,13 @@ impl Lateness {
     }
 
     /// The queue holds messages back, or does not. Says whether it has for long enough.
-    pub(super) fn handle_delay(&mut self, delayed: bool, dwell: Duration, now: Instant) -> bool {
+    pub(super) fn handle_delay(&mut self, delayed: bool, now: Instant) -> bool {
         if !delayed {
             self.delayed_since = None;
             return false;
         }
         let since = *self.delayed_since.get_or_insert(now);
-        now - since >= dwell
+        now - since >= DWELL
     }
 }
 

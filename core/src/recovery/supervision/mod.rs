@@ -51,12 +51,8 @@ enum Phase {
     Idle,
     Starting,
     Serving,
-    Ending {
-        escalation: Option<String>,
-    },
-    Escalated {
-        reason: String,
-    },
+    Ending { escalation: Option<String> },
+    Escalated { reason: String },
 }
 
 #[derive(Clone, Debug)]

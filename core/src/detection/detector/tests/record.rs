@@ -171,7 +171,8 @@ proptest! {
             (prop::sample::select(vec!["a", "b", "c"]), 1..4u64, any_finding(), 0..900u64), 0..120
         )
     ) {
-        let mut bench = Bench::with(DetectorLimits { record: 16, ..DetectorLimits::default() });
+        let mut bench = Bench::new();
+        bench.detector.fault_log = FaultLog::new(16);
         bench.depend("a", &["b"]);
         bench.depend("b", &["c", "n:x"]);
         bench.depend("c", &["a"]);
