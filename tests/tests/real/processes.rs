@@ -46,15 +46,9 @@ fn a_process_plays_its_role() {
             "carrier2" => carry_counter(2).await,
             "carrier3" => carry_counter(3).await,
             "keeper" => keep_books().await,
-            "bystander" => stand_by().await,
             other => panic!("there is no role {other}"),
         }
     });
-}
-
-async fn stand_by() {
-    let _node = Node::builder("module1").network(ethernet(&addresses(), 1)).start().await.unwrap();
-    std::future::pending::<()>().await;
 }
 
 /// Turns the wheels; answers how fast they turn now.
