@@ -496,8 +496,8 @@ impl Supervisor {
         self.advance(now);
     }
 
-    /// The child's incarnation ended unasked. With `restarted_as`, its guard has
-    /// carried out its standing order, and the restart is counted here.
+    /// The child's incarnation ended unasked. With `restarted_as`, its guard has used its grant,
+    /// and the restart is counted here.
     pub fn handle_died(
         &mut self,
         name: &ObjectName,
