@@ -216,6 +216,7 @@ pub(crate) fn action(text: &str) -> ParsedValue<Option<RecoveryAction>> {
         ("observe", Some(RecoveryAction::Observe)),
         ("reset", Some(RecoveryAction::Reset)),
         ("restart", Some(RecoveryAction::Restart)),
+        ("move-to-own-thread", Some(RecoveryAction::MoveToOwnThread)),
         ("reroute", Some(RecoveryAction::Reroute)),
         ("isolate", Some(RecoveryAction::Isolate)),
         ("safe-stop", Some(RecoveryAction::SafeStop)),

@@ -11,6 +11,11 @@ use std::time::Duration;
 pub(crate) trait Cancel: Send + Sync {
     /// Resolves the request with this reason, unless it is resolved already.
     fn cancel(&self, why: DeliveryError);
+
+    /// The slot of the component that asks.
+    fn asker(&self) -> Option<u32> {
+        None
+    }
 }
 
 thread_local! {

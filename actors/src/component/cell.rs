@@ -501,6 +501,12 @@ impl<C: Component> AliveSource for ComponentCell<C> {
         self.record.is_isolated()
     }
 
+    fn askers(&self) -> Vec<u32> {
+        let served = lock(&self.record.service).asker.as_ref().and_then(|served| served.asker());
+        let waiting = self.queue.select(|envelope| envelope.revocable()?.asker());
+        waiting.into_iter().chain(served).collect()
+    }
+
     fn round_lateness(&self) -> Option<RoundLateness> {
         self.record.cold_if_used()?.lateness.get()?.read()
     }
@@ -519,6 +525,10 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for ComponentCell<C> {
 
     fn space(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
         Box::pin(self.queue.space(self.port_of::<M>()))
+    }
+
+    fn overdue(&self) {
+        self.record.environment.report_circle(&self.record.name);
     }
 
     fn receiver(&self) -> Option<Receiver> {

@@ -6,8 +6,11 @@ use crate::liveness::sampler::SampledComponents;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::registry::Registry;
 use crate::runtime::reports::FaultReports;
+use crate::settings::FAULT_HOLD;
+use blastema_contract::reports::FaultDeclared;
 use blastema_core::sorted::SortedSet;
 use blastema_core::suggestion::nearest;
+use blastema_core::{FaultKind, ObjectName};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use tracing::error;
@@ -48,6 +51,21 @@ impl ComponentEnvironment {
             true => text,
             false => format!("{detail} ({text})"),
         }
+    }
+
+    /// The component on this thread has waited in vain for this one: it is a fault if they wait for
+    /// each other.
+    pub(crate) fn report_circle(&self, asked: &ObjectName) {
+        let Some(faults) = &self.reports.faults else { return };
+        let Some((incarnation, circle)) = self.watch_list.circle(asked) else { return };
+        let object = circle[0].clone();
+        let names: Vec<&str> = circle.iter().chain([&object]).map(ObjectName::as_str).collect();
+        let detail = format!(
+            "components wait for each other until their deadlines: {}; reply before asking, or `tell`",
+            names.join(" asks ")
+        );
+        let (kind, hold) = (FaultKind::CheckFailed, Some(FAULT_HOLD));
+        faults.do_send(FaultDeclared { object, incarnation, kind, detail, hold });
     }
 
     /// An environment of its own, whose components live on `arbiters`.

@@ -90,6 +90,10 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for NamedSink<C> {
         })
     }
 
+    fn overdue(&self) {
+        MessageSink::<M>::overdue(&*self.0);
+    }
+
     fn receiver(&self) -> Option<Receiver> {
         MessageSink::<M>::receiver(&*self.0)
     }

@@ -23,6 +23,8 @@ pub(crate) struct ComponentChild<C: Component> {
     /// Where the last incarnation was. The next one stays there if it can, so that what is spread
     /// over the arbiters stays so, and events keep their order.
     arbiter: Option<ArbiterSlot>,
+    /// It was moved, or began so.
+    own_thread: bool,
     /// The last incarnation was given up while it kept its thread: the next one has a thread for
     /// itself, so that it keeps no other component if it hangs too.
     kept_thread: bool,
@@ -31,7 +33,8 @@ pub(crate) struct ComponentChild<C: Component> {
 impl<C: Component> ComponentChild<C> {
     pub(crate) fn new(cell: Arc<ComponentCell<C>>) -> Self {
         crate::platform::panics::install_hook();
-        ComponentChild { cell, report: None, arbiter: None, kept_thread: false }
+        let own_thread = cell.record.limits.own_thread;
+        ComponentChild { cell, report: None, arbiter: None, own_thread, kept_thread: false }
     }
 
     /// An incarnation is there, or on its way.
@@ -115,13 +118,14 @@ impl<C: Component> Child for ComponentChild<C> {
             std::mem::take(&mut self.kept_thread) && !record.environment.arbiters.are_here();
         let known = self.arbiter.take().filter(|arbiter| !apart && arbiter.is_usable());
         let arbiters = &record.environment.arbiters;
-        let own_thread = (record.limits.own_thread || apart).then_some(record.limits.scheduling);
+        let own_thread = (self.own_thread || apart).then_some(record.limits.scheduling);
         let place = || arbiters.place(&record.name, own_thread);
         let arbiter = match known.map_or_else(place, Ok) {
             Ok(arbiter) => arbiter,
             Err(error) => {
                 record.set_incarnation(incarnation);
                 let reason = format!("it was given no thread: {error}");
+                self.own_thread = record.limits.own_thread;
                 // No executor declares it, and the supervisor waits for the recoverer's decision.
                 record.declare(FaultKind::InitializationFailed, reason.clone());
                 self.tell(incarnation, ChildEvent::StartFailed { reason });
@@ -175,6 +179,17 @@ impl<C: Component> Child for ComponentChild<C> {
             ChildOrder::GrantRestart(granted) => self.cell.record.grant_restart(granted),
         }
         false
+    }
+
+    fn move_to_own_thread(&mut self) -> Result<(), &'static str> {
+        if self.own_thread {
+            return Err("it has a thread of its own already");
+        }
+        if self.cell.record.environment.arbiters.are_here() {
+            return Err("the whole node lives on one thread");
+        }
+        (self.own_thread, self.arbiter) = (true, None);
+        Ok(())
     }
 
     fn explain_isolation(&mut self, reason: &str) {

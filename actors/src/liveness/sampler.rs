@@ -41,6 +41,8 @@ pub(crate) trait AliveSource: Send + Sync {
     fn queue(&self) -> QueueReading;
     /// Whether what waits is kept from it, since it is isolated.
     fn is_held(&self) -> bool;
+    /// The slots of the components whose requests wait in its queue.
+    fn askers(&self) -> Vec<u32>;
     /// How late its rounds begin.
     fn round_lateness(&self) -> Option<RoundLateness>;
 }
@@ -125,6 +127,36 @@ impl SampledComponents {
         let entries = lock(&self.0.by_slot);
         let here = heartbeat::running_here().and_then(|slot| entries.get(&slot));
         here.map_or_else(String::new, |watched| watched.object.to_string())
+    }
+
+    /// Where the component on this thread waits for `asked`, and that one for it, directly or by
+    /// way of others: all of them, each asking the next, and the incarnation of the first.
+    pub(crate) fn circle(&self, asked: &ObjectName) -> Option<(Incarnation, Vec<ObjectName>)> {
+        let own = heartbeat::running_here()?;
+        let entries = lock(&self.0.by_slot).clone();
+        let first = entries.get(&own)?;
+        let incarnation = first.inside.upgrade()?.incarnation();
+        let mut circle = vec![first.object.clone()];
+        // Each with the one that it asks.
+        let mut asks = SortedMap::new();
+        let mut found = vec![own];
+        while let Some(mut slot) = found.pop() {
+            let Some(watched) = entries.get(&slot) else { continue };
+            if watched.object == *asked {
+                while slot != own {
+                    circle.push(entries.get(&slot)?.object.clone());
+                    slot = *asks.get(&slot)?;
+                }
+                return Some((incarnation, circle));
+            }
+            for asker in watched.inside.upgrade().map_or(Vec::new(), |inside| inside.askers()) {
+                if asker != own && !asks.contains_key(&asker) {
+                    asks.insert(asker, slot);
+                    found.push(asker);
+                }
+            }
+        }
+        None
     }
 
     /// Who lives on which arbiter now.

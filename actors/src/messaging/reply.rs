@@ -6,7 +6,7 @@
 //! takes the first result only.
 
 use crate::arbiter::deadline::{Cancel, Deadline};
-use crate::arbiter::heartbeat::ArbiterHeartbeat;
+use crate::arbiter::heartbeat::{self, ArbiterHeartbeat};
 use crate::messaging::error::RequestError;
 use crate::platform;
 use crate::sync::atomic::AtomicBool;
@@ -29,6 +29,8 @@ pub(crate) struct ReplySlot<M: Contract> {
     open: AtomicBool,
     /// The caller's deadline, which is known of requests from other nodes.
     until: Option<Instant>,
+    /// The slot of the component of this process that asks.
+    asker: Option<u32>,
 }
 
 enum State<M: Contract> {
@@ -75,6 +77,10 @@ impl<M: Contract> Cancel for ReplySlot<M> {
     fn cancel(&self, why: DeliveryError) {
         self.resolve(Err(RequestError::new(why, None)));
     }
+
+    fn asker(&self) -> Option<u32> {
+        self.asker
+    }
 }
 
 /// The callee's end of a slot. Dropped without an answer, it says that the callee was stopped.
@@ -90,7 +96,8 @@ impl<M: Contract> Responder<M> {
     /// A slot whose result is awaited until then.
     pub(crate) fn awaited_until(until: Option<Instant>) -> (Responder<M>, ReplyFuture<M>) {
         let state = Mutex::new(State::Open(Listener::None));
-        let slot = Arc::new(ReplySlot { state, open: AtomicBool::new(true), until });
+        let asker = heartbeat::running_here();
+        let slot = Arc::new(ReplySlot { state, open: AtomicBool::new(true), until, asker });
         (Responder(Some(slot.clone())), ReplyFuture { slot, limit: Limit::None, done: false })
     }
 
@@ -98,7 +105,7 @@ impl<M: Contract> Responder<M> {
     pub(crate) fn called_back(callback: ReplyCallback<M>, until: Option<Instant>) -> Responder<M> {
         let state = Mutex::new(State::Open(Listener::Callback(callback)));
         let open = AtomicBool::new(true);
-        Responder(Some(Arc::new(ReplySlot { state, open, until })))
+        Responder(Some(Arc::new(ReplySlot { state, open, until, asker: None })))
     }
 
     /// Puts the reply in, unless the slot was revoked.

@@ -171,6 +171,9 @@ fn not_answered<M: Contract>(
     error: RequestError<M>,
     deadline: Duration,
 ) -> RequestError<M> {
+    if error.kind == DeliveryError::DeadlinePassed {
+        inlet.overdue();
+    }
     error.at(|| Some(Receiver { deadline: Some(deadline), ..inlet.receiver()? }))
 }
 

@@ -30,6 +30,9 @@ pub(crate) trait MessageSink<M: Contract>: Send + Sync {
         within: Option<Duration>,
     ) -> Result<ReplyFuture<M>, RequestError<M>>;
 
+    /// A request of the component that runs on this thread has not been answered by its deadline.
+    fn overdue(&self) {}
+
     /// The receiver that its errors name.
     fn receiver(&self) -> Option<Receiver> {
         None
@@ -81,6 +84,12 @@ impl<M: Contract, R: Redirect<M>> MessageSink<M> for Redirected<R> {
                 }
             }
         })
+    }
+
+    fn overdue(&self) {
+        if let Ok(sink) = self.0.present() {
+            sink.overdue();
+        }
     }
 
     fn receiver(&self) -> Option<Receiver> {

@@ -30,6 +30,14 @@ pub trait Child: Send {
     /// incarnation that was [cut off](ChildOrder::CutOff) keeps its thread.
     fn order(&mut self, order: ChildOrder) -> bool;
 
+    /// From its next [`start`](Child::start) on, the child lives on a thread of its own.
+    ///
+    /// # Errors
+    /// It does already, or cannot.
+    fn move_to_own_thread(&mut self) -> Result<(), &'static str> {
+        Err("it has no thread that it could leave")
+    }
+
     /// The reason of a [`ChildOrder::Isolate`] that follows, for those whose messages are refused
     /// then.
     fn explain_isolation(&mut self, _reason: &str) {}

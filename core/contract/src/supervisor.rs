@@ -53,6 +53,9 @@ pub enum ChildAction {
     /// strategy says: for this fault, or because a person asks. Done when all of them are at work
     /// again; what befalls a sibling on the way is a fault of its own.
     Restart(Option<Fault>),
+    /// The same, where the next incarnation of the child runs on a thread of its own, with the same
+    /// queue.
+    Move(Option<Fault>),
     /// Let it recover from its error by itself.
     Reset,
     /// Forbid it to send and receive, or allow it again.

@@ -16,6 +16,10 @@ pub enum RecoveryAction {
     /// Replace the present incarnation by the next one, and its siblings as the supervisor's
     /// strategy requires.
     Restart,
+    /// Let the component go on in its next incarnation on a thread of its own, with its queue:
+    /// against an overload that makes its neighbours late. It fails where the component has one
+    /// already.
+    MoveToOwnThread,
     /// Find another way over the network.
     Reroute,
     /// Forbid its sending and receiving.
@@ -33,6 +37,7 @@ impl RecoveryAction {
             RecoveryAction::Observe => "observe",
             RecoveryAction::Reset => "reset",
             RecoveryAction::Restart => "restart",
+            RecoveryAction::MoveToOwnThread => "move to own thread",
             RecoveryAction::Reroute => "reroute",
             RecoveryAction::Isolate => "isolate",
             RecoveryAction::SafeStop => "safe stop",
@@ -47,7 +52,9 @@ impl RecoveryAction {
             RecoveryAction::Observe | RecoveryAction::Isolate => Duration::from_secs(1),
             RecoveryAction::Reset | RecoveryAction::Reroute => Duration::from_secs(2),
             RecoveryAction::SafeStop => Duration::from_secs(10),
-            RecoveryAction::Restart | RecoveryAction::Custom(_) => Duration::from_secs(30),
+            RecoveryAction::Restart
+            | RecoveryAction::MoveToOwnThread
+            | RecoveryAction::Custom(_) => Duration::from_secs(30),
         }
     }
 }

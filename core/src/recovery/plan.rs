@@ -321,7 +321,9 @@ fn check_ladder(
             _ if step.backoff.factor == 0 => {
                 "with pauses that grow by the factor 0: write 1 for equal ones"
             }
-            RecoveryAction::Reset | RecoveryAction::Restart if network => {
+            RecoveryAction::Reset | RecoveryAction::Restart | RecoveryAction::MoveToOwnThread
+                if network =>
+            {
                 "which needs a component, and there is none in a link or another node"
             }
             RecoveryAction::Isolate if link => {
@@ -472,6 +474,10 @@ mod tests {
         assert!(
             wrong(FaultKind::LinkDown, Ladder::first(RecoveryAction::Restart))
                 .starts_with("the plan answers link down by restart, which needs a component")
+        );
+        assert!(
+            wrong(FaultKind::NodeLost, Ladder::first(RecoveryAction::MoveToOwnThread))
+                .contains("by move to own thread, which needs a component")
         );
         for ended in [
             FaultKind::Panic,

@@ -150,6 +150,32 @@ fn who_keeps_a_thread_is_the_root_of_an_overload_and_its_neighbour_is_not_restar
 }
 
 #[test]
+fn a_planner_that_was_moved_to_its_own_thread_lets_its_neighbour_keep_its_rounds() {
+    let Some(_turn) = blastema_doubles::turn_if_long() else { return };
+    blastema::run(async {
+        let counts = Arc::<Counts>::default();
+        let ladder = Ladder::first(RecoveryAction::MoveToOwnThread).then(RecoveryAction::Observe);
+        let plan = Plan::default().on(FaultKind::Overload, ladder);
+        let mut node = start(counts.robot().plan(plan)).await;
+
+        counts.feed(&node);
+        await_overload(&node, "planner").await;
+        // A thread of its own gives the planner no time where the computer has none.
+        if node.faults().await.entries.iter().any(is_computers) {
+            return node.shutdown().await;
+        }
+        node.await_recovered(FaultKind::Overload, "planner").await;
+
+        assert_eq!(node.row("planner").await.incarnation, Incarnation(2));
+        assert_eq!(node.row("safety").await.incarnation, Incarnation(1));
+        let has_rounds = async || counts.beside.load(SeqCst) > 10;
+        until(has_rounds, "a neighbour has its rounds while plans are made").await;
+        counts.load.store(false, SeqCst);
+        node.shutdown().await;
+    });
+}
+
+#[test]
 fn rounds_that_overrun_their_period_are_counted_and_a_fault() {
     let _turn = blastema_doubles::turn();
     blastema::run(async {

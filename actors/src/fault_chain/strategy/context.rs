@@ -46,6 +46,7 @@ impl StrategyContext {
         match action {
             RecoveryAction::Reset => self.reset(&fault.location).await,
             RecoveryAction::Restart => self.restart(fault).await,
+            RecoveryAction::MoveToOwnThread => self.move_to_own_thread(fault).await,
             RecoveryAction::Reroute => self.reroute(&fault.location).await,
             RecoveryAction::Isolate => self.isolate_because(fault).await,
             RecoveryAction::SafeStop => self.safe_stop(fault).await,
@@ -68,6 +69,15 @@ impl StrategyContext {
     /// # Errors The new incarnation did not start, or the supervisor escalated.
     pub async fn restart(&self, fault: &Fault) -> Result<RecoveryDone, RecoveryFailed> {
         self.ask(&fault.location, ChildAction::Restart(Some(fault.clone()))).await.map(begun)
+    }
+
+    /// Moves a component to a thread of its own: its next incarnation runs there, with the same
+    /// queue. Resolves when this incarnation is active.
+    ///
+    /// # Errors The component already has a thread of its own, or the whole node runs on one
+    /// thread; or as [`restart`](StrategyContext::restart).
+    pub async fn move_to_own_thread(&self, fault: &Fault) -> Result<RecoveryDone, RecoveryFailed> {
+        self.ask(&fault.location, ChildAction::Move(Some(fault.clone()))).await.map(begun)
     }
 
     /// Lets an object that is in error recover by itself.

@@ -3,8 +3,8 @@
 use super::{RecoveryResult, SupervisorActor};
 use crate::runtime::pending_answer::PendingAnswer;
 use actix::prelude::*;
-use blastema_contract::supervisor::{ChildAction, ChildRequest};
-use blastema_core::recovery::{ReplacementCause, Supervisor};
+use blastema_contract::supervisor::{ChildAction, ChildRequest, GaveUp};
+use blastema_core::recovery::{GiveUpReason, ReplacementCause, Supervisor};
 use blastema_core::{Fault, Incarnation};
 
 impl Handler<ChildRequest> for SupervisorActor {
@@ -16,6 +16,20 @@ impl Handler<ChildRequest> for SupervisorActor {
             ChildAction::Restart(fault) => {
                 let cause = fault.as_ref().map_or(ReplacementCause::Asked, ReplacementCause::of);
                 let faulty = fault.map(|fault| fault.incarnation);
+                self.ask(context, object, |machine, object, call, now| {
+                    machine.handle_restart(object, call, cause, faulty, now);
+                })
+            }
+            // No restart that a budget counts, because nothing has failed.
+            ChildAction::Move(fault) => {
+                if let Some(child) = self.child(&object)
+                    && let Err(reason) = child.move_to_own_thread()
+                {
+                    let why = GiveUpReason::StartFailed { reason: reason.to_owned() };
+                    return PendingAnswer::new(std::future::ready(Err(GaveUp { object, why })));
+                }
+                let (cause, faulty) =
+                    (ReplacementCause::Asked, fault.map(|fault| fault.incarnation));
                 self.ask(context, object, |machine, object, call, now| {
                     machine.handle_restart(object, call, cause, faulty, now);
                 })

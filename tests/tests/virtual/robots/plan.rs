@@ -369,7 +369,8 @@ fn answers(random: &mut Random) -> Vec<(FaultKind, RecoveryAction)> {
         FaultKind::CheckFailed,
         FaultKind::Overload,
     ];
-    (0..1 + below(random, 3)).map(|_| (one_of(random, &kinds), RecoveryAction::Isolate)).collect()
+    let actions = [RecoveryAction::Isolate, RecoveryAction::MoveToOwnThread];
+    (0..1 + below(random, 3)).map(|_| (one_of(random, &kinds), one_of(random, &actions))).collect()
 }
 
 /// What goes wrong before the start is complete.

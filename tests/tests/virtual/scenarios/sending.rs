@@ -90,6 +90,18 @@ async fn who_asks_somebody_that_asks_back_gets_a_deadline_and_not_a_knot() {
 
     assert_eq!(arm.ask_within(Do(Deed::Nothing), hour).await.unwrap(), 1);
     assert_eq!(leg.ask_within(Do(Deed::Nothing), hour).await.unwrap(), 1);
+    let faults = node.faults().await.entries;
+    let told = faults.iter().map(|entry| (entry.fault.location.to_string(), &*entry.fault.detail));
+    let circle = |one, other| {
+        let who = format!("{one} asks {other} asks {one}");
+        format!(
+            "components wait for each other until their deadlines: {who}; reply before asking, or `tell`"
+        )
+    };
+    let (arm, leg) = (circle("arm", "leg"), circle("leg", "arm"));
+    let expected = [("module1:arm".to_owned(), &*arm), ("module1:leg".to_owned(), &*leg)];
+    assert_eq!(told.collect::<Vec<_>>(), expected);
+    assert_eq!(faults[0].fault.severity, blastema::Severity::Warning);
 }
 
 /// Hands out a sender that belongs to its present incarnation.
