@@ -7,7 +7,6 @@ pub(crate) mod control;
 pub(crate) mod declaration;
 pub(crate) mod envelope;
 pub(crate) mod environment;
-pub(crate) mod exits;
 pub(crate) mod extension;
 mod far_watch;
 pub(crate) mod incarnation;
@@ -75,15 +74,6 @@ pub trait Component: Sized + 'static {
     /// One round of periodic work, at the rate of the `ChildSpec`, while active. Rounds that were
     /// missed are skipped.
     fn on_execute(&mut self, cx: &mut Context<Self>) -> impl Future<Output = Result<(), Failure>> {
-        let _ = cx;
-        async { Ok(()) }
-    }
-
-    /// The rate of `on_execute` has changed.
-    fn on_rate_changed(
-        &mut self,
-        cx: &mut Context<Self>,
-    ) -> impl Future<Output = Result<(), Failure>> {
         let _ = cx;
         async { Ok(()) }
     }

@@ -32,11 +32,6 @@ impl<T> SlidingWindow<T> {
         SlidingWindow { limit: limit as usize, period, events: VecDeque::new() }
     }
 
-    /// Other bounds, from the next event on.
-    pub fn set_bounds(&mut self, limit: u32, period: Duration) {
-        (self.limit, self.period) = (limit as usize, period);
-    }
-
     /// Counts one event. False: it would exceed the limit, and is not counted.
     pub fn add(&mut self, event: T, now: Instant) -> bool {
         self.forget(now);

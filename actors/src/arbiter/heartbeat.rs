@@ -6,12 +6,11 @@
 
 use super::deadline;
 use crate::platform;
-use crate::platform::panics::{PanicRecord, Unwinding};
 use crate::platform::processor_time::ThreadNumber;
 use blastema_core::{DeliveryError, Instant};
 use std::cell::{Cell, OnceCell};
 use std::sync::atomic::Ordering::Relaxed;
-use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, AtomicU64};
+use std::sync::atomic::{AtomicU8, AtomicU32, AtomicU64};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::time::MissedTickBehavior;
@@ -33,13 +32,8 @@ pub(crate) struct ArbiterHeartbeat {
     /// 1 + the slot of the component on the thread right now; 0 between polls.
     running: AtomicU32,
     flags: AtomicU8,
-    /// The component on the thread has ends of incarnations to tell, and tells them when its turn
-    /// is over.
-    owes_exits: AtomicBool,
     /// The time of the last beat, in nanoseconds; 0 where none beats.
     time: AtomicU64,
-    /// The panic that unwinds on its thread.
-    unwinding: Arc<Unwinding>,
     /// Its thread, once it beats.
     thread: OnceLock<ThreadNumber>,
 }
@@ -86,9 +80,7 @@ impl Default for ArbiterHeartbeat {
             beat: AtomicU64::new(0),
             running: AtomicU32::new(0),
             flags: AtomicU8::new(0),
-            owes_exits: AtomicBool::new(false),
             time: AtomicU64::new(0),
-            unwinding: Arc::default(),
             thread: OnceLock::new(),
         }
     }
@@ -112,7 +104,6 @@ impl ArbiterHeartbeat {
     /// Outside of an actix arbiter.
     pub(crate) fn enrol_here() -> Arc<ArbiterHeartbeat> {
         let heartbeat = HERE.with(|here| here.get_or_init(Arc::default).clone());
-        Unwinding::note_here(&heartbeat.unwinding);
         if let Some(beat) = heartbeat.clone().start_beating() {
             actix_rt::spawn(beat);
         }
@@ -125,7 +116,6 @@ impl ArbiterHeartbeat {
         HERE.with(|here| {
             let _ = here.set(self.clone());
         });
-        Unwinding::note_here(&self.unwinding);
         if let Some(beat) = self.clone().start_beating() {
             // A task of the runtime: one of the arbiter's `LocalSet` costs each beat two more
             // system calls, since its timer wakes the set through the driver.
@@ -147,9 +137,7 @@ impl ArbiterHeartbeat {
             return None;
         }
         let beating = Beating(self.clone());
-        if let Some(here) = ThreadNumber::here() {
-            let _ = self.thread.set(here);
-        }
+        let _ = self.thread.set(ThreadNumber::here());
         self.time.store(platform::now().as_nanos(), Relaxed);
         Some(async move {
             let _beating = beating;
@@ -194,25 +182,10 @@ impl ArbiterHeartbeat {
         self.running.load(Relaxed).checked_sub(1)
     }
 
-    /// The panic that unwinds on its thread now: of the component that it is running.
-    pub(crate) fn unwinding(&self) -> Option<PanicRecord> {
-        self.unwinding.read()
-    }
-
     /// From now on the thread runs the component of this slot, or none.
     #[inline]
     pub(crate) fn run(&self, slot: Option<u32>) {
         self.running.store(slot.map_or(0, |slot| slot + 1), Relaxed);
-    }
-
-    /// The component that runs now has ends of incarnations to tell, or has told them.
-    pub(crate) fn owe_exits(&self, owed: bool) {
-        self.owes_exits.store(owed, Relaxed);
-    }
-
-    /// Whether ends of incarnations wait until the turn of the component that runs now is over.
-    pub(crate) fn owes_exits(&self) -> bool {
-        self.owes_exits.load(Relaxed)
     }
 
     /// Whether the arbiter has been given up, or is about to be.

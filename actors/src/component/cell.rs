@@ -11,12 +11,10 @@ use crate::component::cold_state::ColdState;
 use crate::component::control::{CommandQueue, HostCommand};
 use crate::component::declaration::CellListener;
 use crate::component::envelope::{BoxedEnvelope, Times, enqueue_time, seal_message};
-use crate::component::exits::DueExits;
 use crate::component::ports::QueuePort;
 use crate::component::subscription::Subscriptions;
 use crate::component::{Component, Handle};
 use crate::liveness::activity::ActivitySlotRef;
-use crate::liveness::label;
 use crate::liveness::limits::SharedLimits;
 use crate::liveness::sampler::AliveSource;
 use crate::messaging::death_watch::{Down, DownReason};
@@ -28,10 +26,9 @@ use crate::messaging::reply::{ReplyFuture, Responder};
 use crate::messaging::sink::MessageSink;
 use crate::platform;
 use crate::platform::lock;
-use crate::platform::panics::{self, PanicRecord};
+use crate::platform::panics;
 use crate::settings::FAULT_HOLD;
-use blastema_contract::child::RestartGrant;
-use blastema_contract::reports::{DeclaredFaultCleared, ExitReason, FaultDeclared};
+use blastema_contract::reports::{DeclaredFaultCleared, FaultDeclared};
 use blastema_core::detection::RoundLateness;
 use blastema_core::detection::hang::QueueReading;
 use blastema_core::sorted::SortedMap;
@@ -43,7 +40,7 @@ use std::cell::Cell;
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::atomic::Ordering::Relaxed;
-use std::sync::atomic::{AtomicU8, AtomicU64};
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64};
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 use tracing::warn;
@@ -74,7 +71,8 @@ pub(crate) struct CellCore {
     /// The incarnation that began last.
     incarnation: AtomicU64,
     service: Mutex<MessageInService>,
-    order: Mutex<Option<RestartGrant>>,
+    /// Its guard may restart it once by itself.
+    granted: AtomicBool,
     cold: OnceLock<Box<ColdState>>,
 }
 
@@ -129,7 +127,7 @@ impl CellCore {
             }),
             incarnation: AtomicU64::new(0),
             service: Mutex::default(),
-            order: Mutex::default(),
+            granted: AtomicBool::new(false),
             cold: OnceLock::new(),
         }
     }
@@ -237,37 +235,13 @@ impl CellCore {
         lock(&self.state).arbiter.take()
     }
 
-    pub(crate) fn order(&self) -> Option<RestartGrant> {
-        *lock(&self.order)
+    /// Whether its guard may restart it by itself, once.
+    pub(crate) fn take_grant(&self) -> bool {
+        self.granted.swap(false, Relaxed)
     }
 
-    pub(crate) fn set_order(&self, order: Option<RestartGrant>) {
-        *lock(&self.order) = order;
-    }
-
-    /// Notes the end of an incarnation whose panic still unwinds on its thread: what the handler
-    /// had may block there when it is dropped. Its guard reports it where it catches it before.
-    pub(crate) fn keep_unwinding(&self, incarnation: Incarnation, placement: &CurrentPlacement) {
-        let heartbeat = &placement.arbiter.heartbeat;
-        if heartbeat.running() != Some(placement.slot.index) || heartbeat.is_here() {
-            return;
-        }
-        if let Some(PanicRecord { text, at }) = heartbeat.unwinding() {
-            let during = label::name(placement.slot.activity.read().during);
-            self.cold().exits.keep(incarnation, ExitReason::Panicked { text, at, during });
-        }
-    }
-
-    /// Notifies the monitor, and the supervisor, of the incarnations up to this one that have
-    /// ended.
-    pub(crate) fn tell_exits(&self, until: Incarnation) {
-        self.tell(DueExits::Until(until));
-    }
-
-    fn tell(&self, which: DueExits) {
-        if let Some(cold) = self.cold_if_used() {
-            cold.exits.tell(which, &self.name, &self.environment.reports);
-        }
+    pub(crate) fn grant_restart(&self, granted: bool) {
+        self.granted.store(granted, Relaxed);
     }
 
     #[inline]
@@ -535,10 +509,6 @@ impl<C: Component> AliveSource for ComponentCell<C> {
 
     fn round_lateness(&self) -> Option<RoundLateness> {
         self.record.cold_if_used()?.lateness.get()?.read()
-    }
-
-    fn tell_exits(&self) {
-        self.record.tell(DueExits::Settled);
     }
 }
 

@@ -1,7 +1,6 @@
 //! What few components come to use.
 
 use crate::component::declaration::CellListener;
-use crate::component::exits::UntoldExits;
 use crate::liveness::lateness::LatenessHistogram;
 use crate::messaging::injection::InjectionState;
 use crate::platform::lock;
@@ -13,7 +12,6 @@ use std::sync::{Arc, Mutex, OnceLock};
 #[derive(Default)]
 pub(crate) struct ColdState {
     pub(crate) injected: InjectionState,
-    pub(crate) exits: UntoldExits,
     /// There once the component has had a round.
     pub(crate) lateness: OnceLock<Box<LatenessHistogram>>,
     quarantine: Mutex<Quarantine>,

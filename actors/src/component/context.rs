@@ -98,7 +98,7 @@ impl<C: Component> Context<C> {
     /// message was sent, to the precision of 10 ms unless its contract has a `max_age`. `None`
     /// before the first message.
     ///
-    /// Judge [freshness](crate::Freshness) and [rates](crate::Rate) by it, so that neither the way
+    /// Judge freshness and [rates](crate::Rate) by it, so that neither the way
     /// nor the queue of a message counts as a change of what it tells.
     pub fn captured_at(&self) -> Option<Instant> {
         self.state.captured_at.get()
@@ -206,9 +206,9 @@ impl<C: Component> Context<C> {
 
     /// Announces that what is in service takes up to `span`: until the guard that is returned is
     /// dropped, it is taken neither for hanging nor for silent before that. Of operations that lie
-    /// within one another the one that is to end last counts.
+    /// within one another the longest counts.
     pub fn long_operation(&self, span: Duration) -> LongOperation {
-        self.state.operations().begin(span)
+        LongOperation::begin(self.state.activity, self.state.token.clone(), span)
     }
 
     /// Changes how often `on_execute` is called; `None` for never. The interval is not checked: one

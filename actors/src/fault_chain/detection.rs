@@ -1,6 +1,6 @@
 //! The actor around monitor, detector and notifier.
 
-use crate::fault_chain::log::FaultPrinter;
+use crate::fault_chain::log::log_step;
 use crate::platform;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::answers_the_monitor;
@@ -52,7 +52,6 @@ pub(crate) struct DetectionActor {
     /// Where the machine's ports lead.
     recoverers: SortedMap<RecovererPort, (Recipient<Recover>, Option<Recipient<CancelRecovery>>)>,
     listeners: Vec<Recipient<FaultEvent>>,
-    log: FaultPrinter,
 }
 
 impl DetectionActor {
@@ -65,7 +64,6 @@ impl DetectionActor {
             pings: SortedMap::new(),
             recoverers: SortedMap::new(),
             listeners: Vec::new(),
-            log: FaultPrinter::default(),
         }
     }
 
@@ -139,17 +137,15 @@ impl DetectionActor {
                 (FaultNotice::Cleared { .. }, None) => Box::pin(std::future::ready(Ok(Confirmed))),
             };
         context.spawn(wrap_future(sent).map(move |answer, chain: &mut Self, context| {
-            let (notifier, now) = (&mut chain.machine.notifier, platform::now());
-            match answer {
-                Ok(Confirmed) => notifier.handle_confirmed(&port, number, now),
-                Err(_) => notifier.handle_failed(&port, number, now),
+            if let Ok(Confirmed) = answer {
+                chain.machine.notifier.handle_confirmed(&port, number, platform::now());
+                chain.drive(context);
             }
-            chain.drive(context);
         }));
     }
 
     fn tell(&mut self, event: FaultEvent) {
-        self.log.step(&self.node, &event);
+        log_step(&self.node, &event);
         // A fault is reported at most once per turn, and repetitions at powers of two: the latches
         // are what bounds a slow listener's mailbox.
         self.listeners.retain(Recipient::connected);

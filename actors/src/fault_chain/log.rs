@@ -12,8 +12,7 @@
 //! Its fields are `node`, `location`, `object` (of faults of objects), `kind`, `code`, `severity`,
 //! `fault`, `incarnation`, `count`, `symptom_of`, `step` and `detail`. A program without a
 //! subscriber gets the steps of the first three rows on standard error, a line each; a fault that
-//! is found again is not printed again, and attempts that fail alike, one after the other, are
-//! printed once.
+//! is found again is not printed again.
 
 use crate::platform;
 use blastema_contract::detector::FaultEvent;
@@ -33,39 +32,13 @@ struct Shown {
     printed: bool,
 }
 
-/// Logs what a node finds.
-#[derive(Default)]
-pub(crate) struct FaultPrinter {
-    /// The last step that was printed.
-    printed: String,
-}
-
-impl FaultPrinter {
-    /// Logs one step of a fault that `node` has found.
-    pub(crate) fn step(&mut self, node: &NodeName, step: &FaultEvent) {
-        if tracing::dispatcher::has_been_set() {
-            return log(node, step);
-        }
-        if let Some(line) = self.news(node, step) {
-            platform::tell_of_node(line);
-        }
-    }
-
-    /// What is to be printed: attempts that fail alike, one after the other, are one line.
-    fn news(
-        &mut self,
-        node: &NodeName,
-        FaultEvent { fault, turn, .. }: &FaultEvent,
-    ) -> Option<&str> {
-        if !shown(fault, turn).printed {
-            return None;
-        }
-        let line = line(node, fault, turn);
-        if matches!(turn, FaultTransition::Failed { .. }) && line == self.printed {
-            return None;
-        }
-        self.printed = line;
-        Some(&self.printed)
+/// Logs one step of a fault that `node` has found.
+pub(crate) fn log_step(node: &NodeName, step: &FaultEvent) {
+    let FaultEvent { fault, turn, .. } = step;
+    if tracing::dispatcher::has_been_set() {
+        log(node, step);
+    } else if shown(fault, turn).printed {
+        platform::tell_of_node(&line(node, fault, turn));
     }
 }
 
@@ -226,23 +199,6 @@ mod tests {
         let line = line(&node, &root, &FaultTransition::GaveUp { reason: "too often".into() });
         let text = "hang of module1:arm is given up: boom at arm.rs:7, fault 7: too often";
         assert_eq!(line, format!("error on node module1: {text}"));
-    }
-
-    #[test]
-    fn attempts_that_fail_alike_are_printed_once() {
-        let (node, mut log) = (NodeName::new("module1").unwrap(), FaultPrinter::default());
-        let failed = |reason: &str| {
-            let (action, reason) = ("restart".to_owned(), reason.to_owned());
-            FaultTransition::Failed { action, reason }
-        };
-        let mut printed = |turn| {
-            let (fault, at) = (fault(FaultKind::Panic, None), Instant::ORIGIN);
-            log.news(&node, &FaultEvent { fault, at, turn }).is_some()
-        };
-        assert!(printed(FaultTransition::Found) && printed(failed("it is given up")));
-        assert!(!printed(failed("it is given up")) && !printed(failed("it is given up")));
-        assert!(printed(failed("no thread")) && printed(failed("it is given up")));
-        assert!(printed(FaultTransition::Found) && printed(FaultTransition::Found), "two faults");
     }
 
     #[test]

@@ -14,9 +14,7 @@ use crate::runtime::pending_answer::PendingAnswer;
 use actix::prelude::*;
 use blastema_contract::child::{Child, ChildEvent, ChildOrder, ChildReport};
 use blastema_contract::monitor::IsolationReported;
-use blastema_contract::reports::{
-    Alive, AreYouAlive, ExitReason, Exited, FaultDeclared, StateReported,
-};
+use blastema_contract::reports::{Alive, AreYouAlive, ExitReason, FaultDeclared, StateReported};
 use blastema_contract::supervisor::{AddChild, GaveUp, ReadTree, Recovered, SupervisorOrder};
 use blastema_core::recovery::{
     CallId, ChildRules, GiveUpReason, Supervisor, SupervisorOutput, SupervisorRules,
@@ -355,7 +353,6 @@ impl Handler<SupervisorOrder> for SupervisorActor {
                 self.again = false;
                 self.machine.handle_end(now);
             }
-            SupervisorOrder::Carry(ChildOrder::ExpectEnd) => self.machine.handle_end_expected(now),
             SupervisorOrder::Carry(ChildOrder::Abandon | ChildOrder::CutOff) => {
                 self.watched.end(&self.name, DownReason::Abandoned);
                 self.machine.handle_forsake(now);
@@ -368,7 +365,7 @@ impl Handler<SupervisorOrder> for SupervisorActor {
                 self.tell_parent(ChildEvent::ResetFailed { reason });
             }
             // The guardian restarts it itself; it needs no permission.
-            SupervisorOrder::Carry(ChildOrder::RestartGrant(_)) => {}
+            SupervisorOrder::Carry(ChildOrder::GrantRestart(_)) => {}
             SupervisorOrder::ExplainIsolation(reason) => {
                 self.children.values_mut().for_each(|child| child.explain_isolation(&reason));
             }
@@ -415,19 +412,6 @@ impl Handler<ChildReport> for SupervisorActor {
                 machine.handle_escalated(&object, incarnation, reason, now);
             }
         }
-        self.drive(context);
-    }
-}
-
-/// What a guard reported to the monitor may be reported to the supervisor too; it counts a death
-/// only once.
-impl Handler<Exited> for SupervisorActor {
-    type Result = ();
-
-    fn handle(&mut self, message: Exited, context: &mut Context<Self>) {
-        let Exited { object, incarnation, exit, restarted_as } = message;
-        let now = platform::now();
-        self.machine.handle_died(&object, incarnation, in_order(&exit), restarted_as, now);
         self.drive(context);
     }
 }

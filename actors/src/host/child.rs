@@ -52,12 +52,7 @@ impl<C: Component> ComponentChild<C> {
         let Some(incarnation) = self.cell.queue.evict() else { return false };
         record.environment.cut_short.fetch_add(1, Relaxed);
         let mut keeps_thread = false;
-        let placement = record.take_placement();
-        if let Some(placement) = &placement {
-            record.keep_unwinding(incarnation, placement);
-        }
-        record.tell_exits(incarnation);
-        if let Some(placement) = placement {
+        if let Some(placement) = record.take_placement() {
             placement.token.end();
             record.environment.watch_list.leave(placement.slot.index);
             let reading = placement.slot.activity.read();
@@ -146,12 +141,12 @@ impl<C: Component> Child for ComponentChild<C> {
         let cell = Some(self.cell.clone());
         let pending = PendingStart { cell, incarnation, report, control };
         self.arbiter = Some(arbiter.clone());
-        let begin = move |arbiter| {
+        let handle = arbiter.handle.clone();
+        handle.spawn_fn(move || {
             if let Some(executor) = pending.enter(arbiter) {
                 actix_rt::spawn(executor);
             }
-        };
-        arbiters.start_on(arbiter, Box::new(begin));
+        });
         incarnation
     }
 
@@ -167,7 +162,6 @@ impl<C: Component> Child for ComponentChild<C> {
                 }
                 self.tell(self.cell.record.incarnation(), ChildEvent::Stopped);
             }
-            ChildOrder::ExpectEnd => {}
             ChildOrder::Retire => {
                 self.give_up(false);
                 self.cell.end();
@@ -182,7 +176,7 @@ impl<C: Component> Child for ComponentChild<C> {
                 self.tell(self.cell.record.incarnation(), ChildEvent::ResetFailed { reason });
             }
             ChildOrder::Isolate(isolated) => self.cell.isolate(isolated),
-            ChildOrder::RestartGrant(grant) => self.cell.record.set_order(grant),
+            ChildOrder::GrantRestart(granted) => self.cell.record.grant_restart(granted),
         }
         false
     }

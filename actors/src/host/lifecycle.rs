@@ -29,7 +29,6 @@ pub(crate) enum Hook {
     Startup,
     Activated,
     Execute,
-    RateChanged,
     Deactivated,
     Aborting,
     Error,
@@ -38,7 +37,7 @@ pub(crate) enum Hook {
     Finalize,
 }
 
-const HOOK_COUNT: usize = 11;
+const HOOK_COUNT: usize = 10;
 
 /// The names of the hooks, in the order of [`Hook`].
 static HOOKS: [Label; HOOK_COUNT] = [
@@ -46,7 +45,6 @@ static HOOKS: [Label; HOOK_COUNT] = [
     Label::new("on_startup"),
     Label::new("on_activated"),
     Label::new("on_execute"),
-    Label::new("on_rate_changed"),
     Label::new("on_deactivated"),
     Label::new("on_aborting"),
     Label::new("on_error"),
@@ -469,13 +467,6 @@ impl IncarnationLifecycle {
     /// The hook runs, or is to run.
     fn is_due(&self, hook: Hook) -> bool {
         self.running == Some(hook) || self.hooks.contains(&hook)
-    }
-
-    /// The rate of execution has changed.
-    pub(crate) fn handle_rate_changed(&mut self) {
-        if self.is_serving() && !self.is_due(Hook::Deactivated) {
-            self.hooks.push(Hook::RateChanged);
-        }
     }
 
     fn enter(&mut self, state: Lifecycle, reason: Option<String>) {

@@ -175,15 +175,12 @@ impl<C: Component> ScheduledWork<C> {
         self.plan_round();
     }
 
-    /// Says whether that is another interval than before. The next round comes so long after the
-    /// last one, or at once.
-    pub(crate) fn set_interval(&mut self, interval: Option<Duration>) -> bool {
-        let changed = self.interval != interval;
-        if changed {
+    /// The next round comes so long after the last one, or at once.
+    pub(crate) fn set_interval(&mut self, interval: Option<Duration>) {
+        if self.interval != interval {
             self.interval = interval;
             self.plan_round();
         }
-        changed
     }
 
     fn plan_round(&mut self) {

@@ -99,9 +99,9 @@ impl<C: Component> ChildSpec<C> {
     /// Rounds are due at the start and then after each period. Of those that fall due while a round
     /// takes longer than a period, the latest is run, and the others are missed and counted.
     ///
-    /// Outside of Linux, and where the node [has no thread](crate::NodeBuilder::components_on_this_thread)
-    /// for the component, rounds are timed to the millisecond. Outside of Linux, and in virtual time,
-    /// no rate is refused up to 100,000.
+    /// Where the node [has no thread](crate::NodeBuilder::components_on_this_thread) for the
+    /// component, rounds are timed to the millisecond. In virtual time no rate is refused up to
+    /// 100,000.
     pub fn rate_hz(mut self, rate_hz: f64) -> Self {
         self.rate_hz = Some(rate_hz);
         self
@@ -293,7 +293,7 @@ impl<C: Component> ChildSpec<C> {
 fn interval(rate_hz: Option<f64>, own_thread: bool) -> Result<Option<Duration>, SettingError> {
     let Some(rate_hz) = rate_hz else { return Ok(None) };
     let kept = match own_thread {
-        _ if !cfg!(target_os = "linux") || platform::clock_stands() => RATE_HZ,
+        _ if platform::clock_stands() => RATE_HZ,
         true => OWN_RATE_HZ,
         false => SHARED_RATE_HZ,
     };

@@ -33,10 +33,6 @@ const HEARTBEATS: Duration = crate::arbiter::heartbeat::HEARTBEAT_INTERVAL;
 /// would cost six percent of a core for a hundred thousand.
 const STAMPS: u64 = 10;
 
-/// What is in service where a handler has panicked, and what it had blocks as it is dropped. The
-/// panic itself is reported when the incarnation is abandoned.
-const UNWINDING: &str = "the unwinding of its panic";
-
 /// What can be told of a component without asking it.
 pub(crate) trait AliveSource: Send + Sync {
     /// The incarnation that began last.
@@ -49,8 +45,6 @@ pub(crate) trait AliveSource: Send + Sync {
     fn askers(&self) -> Vec<u32>;
     /// How late its rounds begin.
     fn round_lateness(&self) -> Option<RoundLateness>;
-    /// Tells of its incarnations that have ended, where its host has not come to that yet.
-    fn tell_exits(&self);
 }
 
 /// One component as the watch sees it.
@@ -388,20 +382,11 @@ impl Sampler {
         for (id, (heartbeat, _)) in &self.heartbeats {
             let running = heartbeat.running();
             let known = running.and_then(|slot| self.activities.get(slot));
-            let beat = heartbeat.beats();
-            if heartbeat.owes_exits()
-                && let Some(inside) = known.and_then(|known| known.inside.upgrade())
-            {
-                inside.tell_exits();
-            }
             let reading = ArbiterSample {
-                beat,
+                beat: heartbeat.beats(),
                 running,
                 activity: known.map(|known| known.read()),
-                during: match heartbeat.unwinding() {
-                    Some(_) => UNWINDING,
-                    None => known.map_or("nothing", |known| during(&known.activity.read())),
-                },
+                during: known.map_or("nothing", |known| during(&known.activity.read())),
                 fenced: heartbeat.is_fenced(),
                 used: running
                     .and_then(|_| heartbeat.thread())
@@ -422,7 +407,6 @@ impl Sampler {
             *lock(&self.list.0.last) = LastLook { busy, signs, arbiters };
         }
         self.samples += 1;
-        self.arbiters.move_pending(now);
         while let Some(event) = self.scanner.poll_output() {
             // It may have come back just now; then its components stay.
             let stays = match &event {

@@ -2,15 +2,12 @@
 
 use super::timer_at;
 use blastema_core::Instant;
-#[cfg(target_os = "linux")]
 use rustix::time::{self, Itimerspec, TimerfdClockId, TimerfdFlags, TimerfdTimerFlags, Timespec};
 use std::future::Future;
-#[cfg(target_os = "linux")]
 use std::os::fd::OwnedFd;
 use std::pin::Pin;
 use std::task::{Context, Poll};
 use std::time::Duration;
-#[cfg(target_os = "linux")]
 use tokio::io::unix::AsyncFd;
 use tokio::time::Sleep;
 
@@ -27,7 +24,6 @@ enum AlarmTimer {
     /// The runtime's: whole milliseconds, by the clock that a test may have paused.
     Runtime(Pin<Box<Sleep>>),
     /// The kernel's (timerfd_create(2)): nanoseconds, by the system's clock.
-    #[cfg(target_os = "linux")]
     Kernel(AsyncFd<OwnedFd>),
 }
 
@@ -58,7 +54,6 @@ impl AlarmTimer {
         AlarmTimer::Runtime(Box::pin(tokio::time::sleep(Duration::ZERO)))
     }
 
-    #[cfg(target_os = "linux")]
     fn precise() -> Self {
         kernel_timer().map(AlarmTimer::Kernel).unwrap_or_else(|error| {
             tracing::warn!("rounds and timers are kept to the millisecond only: {error}");
@@ -66,15 +61,9 @@ impl AlarmTimer {
         })
     }
 
-    #[cfg(not(target_os = "linux"))]
-    fn precise() -> Self {
-        AlarmTimer::of_the_runtime()
-    }
-
     fn set(&mut self, at: Instant) {
         match self {
             AlarmTimer::Runtime(sleep) => sleep.as_mut().reset(timer_at(at)),
-            #[cfg(target_os = "linux")]
             AlarmTimer::Kernel(timer) => {
                 const SECOND: u64 = 1_000_000_000;
                 // Zero would disarm it.
@@ -95,7 +84,6 @@ impl AlarmTimer {
     fn poll(&mut self, cx: &mut Context<'_>) -> Poll<()> {
         match self {
             AlarmTimer::Runtime(sleep) => sleep.as_mut().poll(cx),
-            #[cfg(target_os = "linux")]
             AlarmTimer::Kernel(timer) => loop {
                 // An error means that the runtime ends.
                 let Poll::Ready(Ok(mut ready)) = timer.poll_read_ready(cx) else {
@@ -112,7 +100,6 @@ impl AlarmTimer {
     }
 }
 
-#[cfg(target_os = "linux")]
 #[expect(
     deprecated,
     reason = "its successor is unsafe for files that are closed early; an OwnedFd is not"
@@ -141,7 +128,6 @@ mod tests {
     }
 
     /// On real threads.
-    #[cfg(target_os = "linux")]
     mod real {
         use super::*;
         use std::task::Waker;

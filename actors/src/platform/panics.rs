@@ -3,32 +3,16 @@
 //! The standard hook symbolises a backtrace on the spot and stalls the whole arbiter for a tenth to
 //! half a second. Where a guard is going to catch the panic, our hook notes the place instead;
 //! every other panic goes to the hook that was there before.
-//!
-//! The hook runs before the panic unwinds. What unwinds may block, in the `Drop` of a local value:
-//! so the text and place are noted where other threads [find](Unwinding::read) them, until the
-//! panic is caught.
 
 use std::any::Any;
 use std::cell::Cell;
 use std::panic;
-use std::sync::{Arc, Mutex, MutexGuard, Once, OnceLock};
-use std::thread;
+use std::sync::Once;
 
 thread_local! {
     static GUARDED: Cell<u32> = const { Cell::new(0) };
-    static UNWINDING: OnceLock<Arc<Unwinding>> = const { OnceLock::new() };
-    /// What is noted there has not been caught.
-    static UNWINDS: Cell<bool> = const { Cell::new(false) };
-}
-
-/// The last guarded panic of one thread, which other threads can read while it unwinds.
-#[derive(Debug, Default)]
-pub(crate) struct Unwinding(Mutex<Option<NotedPanic>>);
-
-#[derive(Debug)]
-struct NotedPanic {
-    panic: PanicRecord,
-    is_caught: bool,
+    /// The last guarded panic of this thread, until it is read.
+    static NOTED: Cell<Option<PanicRecord>> = const { Cell::new(None) };
 }
 
 /// What is known of a panic.
@@ -37,54 +21,6 @@ pub(crate) struct PanicRecord {
     pub(crate) text: String,
     /// The file and line; empty for one that was not guarded.
     pub(crate) at: String,
-}
-
-impl Unwinding {
-    fn lock(&self) -> MutexGuard<'_, Option<NotedPanic>> {
-        super::lock(&self.0)
-    }
-
-    /// The panic that unwinds now.
-    pub(crate) fn read(&self) -> Option<PanicRecord> {
-        let noted = self.lock();
-        noted.as_ref().filter(|noted| !noted.is_caught).map(|noted| noted.panic.clone())
-    }
-
-    /// Guarded panics of this thread are noted in `unwinding` from now on.
-    pub(crate) fn note_here(unwinding: &Arc<Unwinding>) {
-        UNWINDING.with(|here| {
-            let _ = here.set(unwinding.clone());
-        });
-    }
-
-    fn note(panic: PanicRecord) {
-        let noted = NotedPanic { panic, is_caught: false };
-        let note = |here: &OnceLock<Arc<_>>| {
-            let here: &Unwinding = here.get_or_init(Arc::default);
-            here.lock().replace(noted)
-        };
-        UNWINDS.set(UNWINDING.try_with(note).is_ok());
-    }
-
-    /// The last panic of this thread was caught.
-    #[cold]
-    fn end() {
-        UNWINDS.set(false);
-        let _ = UNWINDING.try_with(|here| {
-            if let Some(here) = here.get()
-                && let Some(noted) = &mut *here.lock()
-            {
-                noted.is_caught = true;
-            }
-        });
-    }
-
-    /// The last panic of this thread, which was caught.
-    fn take() -> Option<PanicRecord> {
-        UNWINDS.set(UNWINDS.get() && thread::panicking());
-        let taken = UNWINDING.try_with(|here| here.get().and_then(|here| here.lock().take()));
-        taken.ok().flatten().map(|noted| noted.panic)
-    }
 }
 
 /// While it lives, panics on this thread are going to be caught by a guard.
@@ -103,9 +39,6 @@ impl Drop for PanicGuard {
     #[inline]
     fn drop(&mut self) {
         GUARDED.set(GUARDED.get() - 1);
-        if UNWINDS.get() && !thread::panicking() {
-            Unwinding::end();
-        }
     }
 }
 
@@ -126,7 +59,7 @@ pub(crate) fn install_hook() {
             let Some(at) = info.location() else { return };
             let at = format!("{}:{}", at.file(), at.line());
             let text = text_in(info.payload()).to_owned();
-            Unwinding::note(PanicRecord { text, at });
+            let _ = NOTED.try_with(|noted| noted.set(Some(PanicRecord { text, at })));
         }));
     });
 }
@@ -164,7 +97,7 @@ pub(crate) fn shown(payload: Box<dyn Any + Send>) -> String {
 
 /// The text and place of this thread's last panic, which was caught under a guard.
 pub(crate) fn read(payload: Box<dyn Any + Send>) -> PanicRecord {
-    let PanicRecord { text, at } = Unwinding::take().unwrap_or_default();
+    let PanicRecord { text, at } = NOTED.try_with(Cell::take).ok().flatten().unwrap_or_default();
     let known = text_in(&*payload);
     let text = if text == known { text } else { known.to_owned() };
     // The payload may be the user's; its Drop may panic in turn.
@@ -182,38 +115,15 @@ fn text_in(payload: &(dyn Any + Send)) -> &str {
 mod tests {
     use super::*;
 
-    /// What another thread would read in the middle of unwinding.
-    struct Reads<'a>(&'a Unwinding, &'a Mutex<Vec<Option<String>>>);
-
-    impl Drop for Reads<'_> {
-        fn drop(&mut self) {
-            // A guard that is left meanwhile ends nothing.
-            drop(PanicGuard::enter());
-            self.1.lock().unwrap().push(self.0.read().map(|panic| panic.text));
-        }
-    }
-
     #[test]
-    fn a_panic_can_be_read_from_the_hook_on_until_it_is_caught() {
+    fn a_guarded_panic_is_read_with_its_text_and_place() {
         install_hook();
-        let (unwinding, read) = (Arc::new(Unwinding::default()), Mutex::default());
-        Unwinding::note_here(&unwinding);
-        assert_eq!(unwinding.read(), None);
-
-        let caught = caught(|| {
-            let _reads = Reads(&unwinding, &read);
-            panic!("ouch")
-        });
-
+        let caught = caught(|| panic!("ouch"));
         assert!(caught.is_err_and(|text: String| text.ends_with(": ouch")));
-        assert_eq!(*read.lock().unwrap(), [Some("ouch".to_owned())]);
-        assert_eq!(unwinding.read(), None);
 
         let guarded = PanicGuard::enter();
         let payload = panic::catch_unwind(|| panic!("asked for later")).expect_err("it panics");
-        assert!(unwinding.read().is_some());
         drop(guarded);
-        assert_eq!(unwinding.read(), None, "the guard is left");
         let PanicRecord { text, at } = super::read(payload);
         assert_eq!(text, "asked for later");
         assert!(at.contains("panics.rs:"), "{at}");

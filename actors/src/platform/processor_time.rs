@@ -9,12 +9,9 @@ use std::time::Duration;
 pub(crate) struct ThreadNumber(u32);
 
 impl ThreadNumber {
-    /// This thread; `None` where the system does not number threads for `/proc`.
-    pub(crate) fn here() -> Option<Self> {
-        #[cfg(target_os = "linux")]
-        return Some(ThreadNumber(rustix::thread::gettid().as_raw_nonzero().get().cast_unsigned()));
-        #[cfg(not(target_os = "linux"))]
-        None
+    /// This thread.
+    pub(crate) fn here() -> Self {
+        ThreadNumber(rustix::thread::gettid().as_raw_nonzero().get().cast_unsigned())
     }
 
     /// The processor time that the thread has used so far, if it runs or is ready to run; `None`
@@ -46,7 +43,6 @@ impl ThreadNumber {
 }
 
 #[cfg(test)]
-#[cfg(target_os = "linux")]
 mod tests {
     use super::*;
     use std::sync::mpsc;
@@ -59,7 +55,7 @@ mod tests {
         #[test]
         fn a_thread_that_works_is_ready_and_uses_time_and_one_that_waits_is_not() {
             let _turn = blastema_doubles::turn();
-            let here = ThreadNumber::here().unwrap();
+            let here = ThreadNumber::here();
             // A thread that has just begun has not been counted yet.
             let used = || std::iter::repeat_with(|| here.used_while_ready()).find_map(|used| used);
             let before = used().unwrap();
@@ -68,7 +64,7 @@ mod tests {
             let (sender, receiver) = mpsc::channel();
             let (end, ended) = mpsc::channel::<()>();
             let waiter = thread::spawn(move || {
-                sender.send(ThreadNumber::here().unwrap()).unwrap();
+                sender.send(ThreadNumber::here()).unwrap();
                 let _ = ended.recv();
             });
             let waiting = receiver.recv().unwrap();

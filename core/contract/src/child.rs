@@ -5,7 +5,7 @@ use actix::{Message, Recipient};
 use blastema_core::{Incarnation, ObjectName};
 use std::sync::Arc;
 
-pub use blastema_core::recovery::{ChildOrder, RestartGrant};
+pub use blastema_core::recovery::ChildOrder;
 
 /// What a supervisor may do with a child: a component, or a supervisor below it.
 ///
@@ -89,7 +89,7 @@ pub enum ChildEvent {
     Died {
         /// How it ended.
         exit: ExitReason,
-        /// The guard has carried out its standing order: this incarnation has begun in the old
+        /// The guard has used its grant: this incarnation has begun in the old
         /// one's place.
         restarted_as: Option<Incarnation>,
     },

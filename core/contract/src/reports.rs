@@ -36,8 +36,7 @@ pub struct Exited {
     pub incarnation: Incarnation,
     /// How it ended.
     pub exit: ExitReason,
-    /// The guard has carried out its standing order: this incarnation has begun in the old one's
-    /// place.
+    /// The guard has used its grant: this incarnation has begun in the old one's place.
     pub restarted_as: Option<Incarnation>,
 }
 

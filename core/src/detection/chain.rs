@@ -1,8 +1,8 @@
 //! Monitor, detector and notifier of one node: what one has put out is the input of the next.
 
 use super::{
-    ConfirmedQueueOutput, Detector, DetectorLimits, DetectorOutput, FaultNotice, FaultTransition,
-    Monitor, MonitorLimits, Notifier, NotifierLimits, RecovererPort, RecoveryOutcome,
+    ConfirmedQueueOutput, Detector, DetectorOutput, FaultNotice, FaultTransition, Monitor,
+    MonitorLimits, Notifier, NotifierLimits, RecovererPort, RecoveryOutcome,
 };
 use crate::{Fault, Instant, Machine, NodeName};
 
@@ -42,7 +42,7 @@ impl DetectionChain {
     pub fn new(node: NodeName) -> Self {
         DetectionChain {
             monitor: Monitor::new(node.clone(), MonitorLimits::default()),
-            detector: Detector::new(node, DetectorLimits::default()),
+            detector: Detector::new(node),
             notifier: Notifier::new(NotifierLimits::default()),
         }
     }

@@ -9,7 +9,7 @@ use crate::{
     Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant, Lifecycle, Machine, NodeName,
     ObjectName,
 };
-use node_history::NodeHistories;
+use offence_history::OffenceHistory;
 use pause::Pause;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -30,73 +30,35 @@ use std::time::Duration;
 /// of a fault of that one, and is cleared when that one ends in order and none follows.
 #[derive(Clone, Debug)]
 pub struct Detector {
-    limits: DetectorLimits,
     objects: SortedMap<ObjectName, Seen>,
     needs: DependencyIndex,
     fault_log: FaultLog,
-    nodes: NodeHistories,
+    offences: OffenceHistory,
     /// The latest pause of this node, while links and nodes may suffer from it.
     pause: Option<Pause>,
     outputs: VecDeque<DetectorOutput>,
     last_id: u64,
-    stale: u64,
     /// The node ends, and its components with it.
     ending: bool,
 }
 
-/// The bounds of a [`Detector`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct DetectorLimits {
-    /// How many faults the record holds. More remembers longer; an entry takes some hundred bytes.
-    pub record: usize,
-    /// How long after a symptom its root may be found. Longer explains more, and wrongly at times.
-    pub hindsight: Duration,
-    /// How long the next incarnation of an object that was stopped may take to begin. Longer leaves
-    /// faults of one that was stopped for good standing.
-    pub next_incarnation: Duration,
-    /// So many offences of another node within `offences_period` are a fault. More forgives more.
-    pub offences: u32,
-    /// The period in which `offences` are counted.
-    pub offences_period: Duration,
-    /// This many restarts of another node within `crash_loop_period` are a crash loop.
-    pub crash_loop_restarts: u32,
-    /// See `crash_loop_restarts`. A node that stays up for as long has ended its crash loop. Longer
-    /// finds slower loops, and keeps the fault for longer.
-    pub crash_loop_period: Duration,
-    /// A pause of this length is a fault. A shorter one is a fault only if a link or node suffers
-    /// from it, up to this long after it.
-    pub pause: Duration,
-    /// The time for links and other nodes to return after a pause that is a fault. A link or node
-    /// that is still down then has a fault of its own.
-    pub after_pause: Duration,
-}
-
-impl Default for DetectorLimits {
-    fn default() -> Self {
-        DetectorLimits {
-            // A day with a fault every minute and a half.
-            record: 1024,
-            // Links over wireless, the slowest, find a fault within two seconds.
-            hindsight: Duration::from_secs(2),
-            // A supervisor starts it in milliseconds.
-            next_incarnation: Duration::from_secs(1),
-            // A flood is reported every three seconds. A process that crashes five times in a
-            // minute is expected to crash again.
-            offences: 5,
-            offences_period: Duration::from_secs(60),
-            // An update and a second attempt restart a node twice; systemd itself ceases to start a
-            // unit after five times in ten seconds (systemd.unit(5), StartLimitBurst).
-            crash_loop_restarts: 3,
-            // systemd waits 0.1 s between two starts, a careful unit file up to 20 s.
-            crash_loop_period: Duration::from_secs(60),
-            // Requests expire after as long, unless they say otherwise, and links are down before.
-            pause: Duration::from_secs(1),
-            // A link that has gone down four times lately comes up after 48 hellos, 2.4 s; then
-            // routes and sessions follow.
-            after_pause: Duration::from_secs(5),
-        }
-    }
-}
+/// How many faults the record holds: a day with a fault every minute and a half. An entry takes some
+/// hundred bytes.
+pub const FAULTS_ON_RECORD: usize = 1024;
+/// How long after a symptom its root may be found. Links over wireless, the slowest, find a fault
+/// within two seconds. Longer explains more, and wrongly at times.
+const HINDSIGHT: Duration = Duration::from_secs(2);
+/// How long the next incarnation of an object that was stopped may take to begin: a supervisor
+/// starts it in milliseconds. Longer leaves faults of one that was stopped for good standing.
+const NEXT_INCARNATION: Duration = Duration::from_secs(1);
+/// A pause of this length is a fault: requests expire after as long, unless they say otherwise, and
+/// links are down before. A shorter one is a fault only if a link or node suffers from it, up to
+/// this long after it.
+const PAUSE: Duration = Duration::from_secs(1);
+/// The time for links and other nodes to return after a pause that is a fault. A link that has gone
+/// down four times lately comes up after 48 hellos, 2.4 s; then routes and sessions follow. A link
+/// or node that is still down then has a fault of its own.
+const AFTER_PAUSE: Duration = Duration::from_secs(5);
 
 /// An output of a [`Detector`].
 #[derive(Clone, Debug, PartialEq)]
@@ -174,17 +136,15 @@ enum Cause {
 
 impl Detector {
     /// A detector of `node` with an empty record.
-    pub fn new(node: NodeName, limits: DetectorLimits) -> Self {
+    pub fn new(node: NodeName) -> Self {
         Detector {
-            limits,
             objects: SortedMap::new(),
             needs: DependencyIndex::new(node),
-            fault_log: FaultLog::new(limits.record),
-            nodes: NodeHistories::new(limits),
+            fault_log: FaultLog::new(FAULTS_ON_RECORD),
+            offences: OffenceHistory::default(),
             pause: None,
             outputs: VecDeque::new(),
             last_id: 0,
-            stale: 0,
             ending: false,
         }
     }
@@ -230,11 +190,6 @@ impl Detector {
     /// The record, roots before their symptoms.
     pub fn read_record(&self) -> FaultRecord {
         self.fault_log.read()
-    }
-
-    /// How often something was seen of an incarnation that is over.
-    pub fn stale(&self) -> u64 {
-        self.stale
     }
 
     /// A fault was seen: it is counted if it stands already, else recorded and handed over.
@@ -352,7 +307,7 @@ impl Detector {
         }
         let location = entry.fault.location.clone();
         let root = self.fault_log.root(id);
-        let since = at - (Instant::ORIGIN + self.limits.hindsight);
+        let since = at - (Instant::ORIGIN + HINDSIGHT);
         let is_behind = |fault: &Fault| match &fault.location {
             FaultLocation::Object(address) => self.behind(&address.object) == Some(id),
             _ => false,
@@ -508,7 +463,7 @@ impl Detector {
     /// unless it was stopped to be replaced: then that incarnation begins soon.
     fn end_unhanded_at(&mut self, location: &FaultLocation, at: Instant) {
         let ended: Vec<FaultId> = self.unhanded_at(location).map(|fault| fault.id).collect();
-        let due = Some(at + self.limits.next_incarnation);
+        let due = Some(at + NEXT_INCARNATION);
         for id in ended {
             if let Some(entry) = self.fault_log.entry_mut(id) {
                 entry.end_due = due;
@@ -559,7 +514,7 @@ impl Machine for Detector {
     fn poll_timeout(&self) -> Option<Instant> {
         let pause = self.pause.as_ref().map(|pause| pause.until);
         let end = self.fault_log.next_end().map(|(due, _)| due);
-        [end, self.nodes.poll_timeout(), pause].into_iter().flatten().min()
+        end.into_iter().chain(pause).min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
@@ -568,14 +523,11 @@ impl Machine for Detector {
         {
             self.end_unhanded(id, now);
         }
-        while let Some(node) = self.nodes.pop_over(now) {
-            self.end_crash_loop(node, now);
-        }
         self.end_pause(now);
     }
 }
 
-mod node_history;
+mod offence_history;
 mod pause;
 mod rules;
 #[cfg(test)]

@@ -43,9 +43,9 @@ pub mod dependencies;
 pub mod hang;
 
 pub use chain::{DetectionChain, DetectionOutput};
-pub use checks::{CheckFailed, Freshness, Invariant, Range, Rate};
+pub use checks::{CheckFailed, Range, Rate};
 pub use confirmed_queue::{ConfirmedQueue, ConfirmedQueueLimits, ConfirmedQueueOutput};
-pub use detector::{Detector, DetectorLimits, DetectorOutput};
+pub use detector::{Detector, DetectorOutput, FAULTS_ON_RECORD};
 pub use fault_log::FaultLog;
 pub use monitor::{Monitor, MonitorLimits};
 pub use notifier::{Notifier, NotifierLimits, RecovererPort};

@@ -17,8 +17,7 @@ use std::time::Duration;
 
 /// Keeps the table of all monitored objects, and reports its observations to the detector.
 ///
-/// It judges nothing. What an older incarnation still says, or one that has ended, changes nothing
-/// and is counted. A report or an answer of a new incarnation of an object empties its history.
+/// It judges nothing. What an older incarnation still says, or one that has ended, changes nothing. A report or an answer of a new incarnation of an object empties its history.
 ///
 /// What is reported of an object that was never enrolled opens a row of its own, so that a
 /// component that dies before its enrolment arrives is not lost.
@@ -33,8 +32,6 @@ pub struct Monitor {
     holds: SortedMap<(ObjectName, FaultKind), Hold>,
     /// The node ends.
     ending: bool,
-    stale: u64,
-    refused: u64,
 }
 
 /// For how long a fault stands that its object does not declare again.
@@ -69,8 +66,6 @@ impl Monitor {
             outputs: VecDeque::new(),
             holds: SortedMap::new(),
             ending: false,
-            stale: 0,
-            refused: 0,
         }
     }
 
@@ -146,15 +141,6 @@ impl Monitor {
         if exit == ExitReason::Stopped && !self.objects.contains_key(object) {
             return;
         }
-        let is_older = |entry: &MonitoredObject| incarnation < entry.incarnation;
-        if self.objects.get(object).is_some_and(is_older)
-            && matches!(exit, ExitReason::Panicked { .. })
-        {
-            // That it panicked is reported in every case; of the present incarnation it says
-            // nothing.
-            let finding = Finding::Exited { exit, restarted_as };
-            return self.observe_object(object, incarnation, finding, now);
-        }
         let is_known = self.objects.contains_key(object);
         let Some(entry) = self.admit(object, incarnation) else { return };
         // Every component is enrolled before it begins.
@@ -163,7 +149,6 @@ impl Monitor {
         }
         let is_middleware = entry.kind == ObjectKind::Middleware;
         if matches!(entry.end, Some(LastExit::Stopped | LastExit::Died)) {
-            self.stale += 1;
             return;
         }
         let died = match exit {
@@ -291,7 +276,6 @@ impl Monitor {
         now: Instant,
     ) {
         if self.is_full() && !self.peers.knows_link(&node, &link) {
-            self.refused += 1;
             return;
         }
         let news = self.peers.handle_link(node, link, neighbour, condition, now);
@@ -308,13 +292,10 @@ impl Monitor {
         now: Instant,
     ) {
         if self.is_full() && !self.peers.knows_node(&node) {
-            self.refused += 1;
             return;
         }
-        match self.peers.handle_node(node, incarnation, condition, now) {
-            Ok(news) => news.into_iter().for_each(|news| self.observe(news)),
-            Err(_) => self.stale += 1,
-        }
+        let news = self.peers.handle_node(node, incarnation, condition, now).unwrap_or_default();
+        news.into_iter().for_each(|news| self.observe(news));
     }
 
     /// The node ends, in order or not. Threads, links and sessions go with it: from now on only
@@ -341,16 +322,6 @@ impl Monitor {
         objects.chain(self.peers.rows(now)).collect()
     }
 
-    /// How often something came from an incarnation that is over.
-    pub fn stale(&self) -> u64 {
-        self.stale
-    }
-
-    /// Returns how many reports of unregistered objects were dropped because the table was full.
-    pub fn refused(&self) -> u64 {
-        self.refused
-    }
-
     fn is_full(&self) -> bool {
         self.objects.len() + self.peers.len() >= self.limits.rows
     }
@@ -363,7 +334,6 @@ impl Monitor {
     ) -> Option<&mut MonitoredObject> {
         if !self.objects.contains_key(object) {
             if self.is_full() {
-                self.refused += 1;
                 return None;
             }
             self.objects
@@ -371,7 +341,6 @@ impl Monitor {
         }
         let entry = self.objects.get_mut(object).expect("it was just put in");
         if incarnation < entry.incarnation {
-            self.stale += 1;
             return None;
         }
         if incarnation > entry.incarnation {
@@ -389,7 +358,6 @@ impl Monitor {
         let ended =
             |entry: &MonitoredObject| entry.incarnation == incarnation && entry.end.is_some();
         if self.objects.get(object).is_some_and(ended) {
-            self.stale += 1;
             return None;
         }
         self.admit(object, incarnation)

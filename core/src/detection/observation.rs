@@ -33,8 +33,7 @@ pub enum Finding {
     Exited {
         /// How the incarnation ended.
         exit: ExitReason,
-        /// The guard carried out its standing order: this incarnation has begun in the old one's
-        /// place.
+        /// The guard used its grant: this incarnation has begun in the old one's place.
         restarted_as: Option<Incarnation>,
     },
     /// An incarnation came to another state.

@@ -24,9 +24,9 @@ pub use crate::backoff::Backoff;
 pub use ladder::{Ladder, LadderStep, RecoveryAction};
 pub use plan::{Plan, PlanError};
 pub use recoverer::{
-    Recoverer, RecovererLimits, RecovererOutput, RecoveryDone, RecoveryFailed, RecoveryOrder,
+    CASES_MAX, Recoverer, RecovererOutput, RecoveryDone, RecoveryFailed, RecoveryOrder,
 };
-pub use rules::{ChildRules, Restart, RestartGrant, Strategy, SupervisorRules, WhenExceeded};
+pub use rules::{ChildRules, Restart, Strategy, SupervisorRules, WhenExceeded};
 pub use supervision::{
     CallId, ChildOrder, ChildState, ChildStatus, GiveUpReason, ReplacementCause, Supervisor,
     SupervisorOutput,

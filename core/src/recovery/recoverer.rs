@@ -24,9 +24,8 @@ mod timers;
 mod types;
 
 use self::safe_state::TreatmentStop;
-pub use self::types::{
-    RecovererLimits, RecovererOutput, RecoveryDone, RecoveryFailed, RecoveryOrder,
-};
+pub use self::types::{CASES_MAX, RecovererOutput, RecoveryDone, RecoveryFailed, RecoveryOrder};
+use self::types::{GRACE, MEMORY, SYMPTOMS_MAX};
 
 /// The detector latches by place and kind: a place with more faults than this is out of its mind.
 const FAULTS_LIMIT: usize = 32;
@@ -96,7 +95,6 @@ struct LadderProgress {
 pub struct Recoverer {
     node: NodeName,
     plan: Plan,
-    limits: RecovererLimits,
     seed: u64,
     orders: u64,
     cases: SortedMap<FaultLocation, Case>,
@@ -108,11 +106,10 @@ pub struct Recoverer {
 
 impl Recoverer {
     /// A recoverer without cases. `seed` makes the jitter of its back-off.
-    pub fn new(node: NodeName, plan: Plan, limits: RecovererLimits, seed: u64) -> Self {
+    pub fn new(node: NodeName, plan: Plan, seed: u64) -> Self {
         Recoverer {
             node,
             plan,
-            limits,
             seed,
             orders: 0,
             cases: SortedMap::new(),
@@ -127,7 +124,7 @@ impl Recoverer {
     #[must_use]
     pub fn restarted(&self, now: Instant) -> Self {
         let seed = self.seed.wrapping_add(1);
-        let mut next = Recoverer::new(self.node.clone(), self.plan.clone(), self.limits, seed);
+        let mut next = Recoverer::new(self.node.clone(), self.plan.clone(), seed);
         (next.orders, next.treatment_stop) = (self.orders, self.treatment_stop);
         let noted = self.cases.values().flat_map(|case| &case.faults).map(|noted| &noted.fault);
         for fault in noted.chain(self.symptoms.values().map(|symptom| &symptom.fault)) {
@@ -159,7 +156,7 @@ impl Recoverer {
         if let Some(root) = fault.symptom_of
             && !self.stands_behind(&fault, root)
             && (self.is_open(root) || self.symptoms.contains_key(&root))
-            && self.symptoms.len() < self.limits.symptoms
+            && self.symptoms.len() < SYMPTOMS_MAX
         {
             self.symptoms.insert(fault.id, Symptom { fault, root, due: None });
             return;
@@ -233,8 +230,8 @@ impl Recoverer {
             case.faults.push(Noted { fault, since, over: false });
             return;
         }
-        if self.cases.len() == self.limits.cases {
-            let reason = format!("{} places are being treated already", self.limits.cases);
+        if self.cases.len() == CASES_MAX {
+            let reason = format!("{CASES_MAX} places are being treated already");
             return self.tell(&fault, RecoveryOutcome::GaveUp { reason });
         }
         let ladder = ladder.clone();
@@ -427,15 +424,15 @@ impl Recoverer {
     ) {
         self.memories.retain(|_, memory| now <= memory.until);
         // More than that at once is a storm, in which single ladders do not matter.
-        if self.memories.len() < self.limits.cases {
-            let until = now + self.limits.memory;
+        if self.memories.len() < CASES_MAX {
+            let until = now + MEMORY;
             self.memories.insert(what, LadderProgress { rung, attempt, until });
         }
     }
 
     /// The symptoms of these roots get a little time to pass.
     fn release_symptoms(&mut self, roots: &[FaultId], now: Instant) {
-        let due = now + self.limits.grace;
+        let due = now + GRACE;
         for symptom in self.symptoms.values_mut().filter(|one| roots.contains(&one.root)) {
             symptom.due.get_or_insert(due);
         }

@@ -57,9 +57,6 @@ pub struct ChildRules {
     /// The supervisor cannot do without it: if it is not worth restarting any more, or is put into
     /// the safe state because of a fault, the supervisor escalates.
     pub essential: bool,
-    /// It decides about children of its own: it is informed beforehand when its incarnation is
-    /// about to end.
-    pub supervises: bool,
 }
 
 impl Default for ChildRules {
@@ -71,7 +68,6 @@ impl Default for ChildRules {
             shutdown_within: Duration::from_secs(5),
             on_the_spot: false,
             essential: false,
-            supervises: false,
         }
     }
 }
@@ -96,7 +92,6 @@ impl ChildRules {
         ChildRules {
             ready_within: Duration::MAX,
             shutdown_within: Duration::MAX,
-            supervises: true,
             ..ChildRules::default()
         }
     }
@@ -140,14 +135,4 @@ impl SupervisorRules {
     pub fn counts_together(&self) -> bool {
         self.strategy != Strategy::OneForOne || self.when_exceeded == WhenExceeded::Escalate
     }
-}
-
-/// "Panic: restart on the spot, up to `times` in `period`."
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct RestartGrant {
-    /// How many restarts the guard may make by itself in any one period, counting those that it has
-    /// made already since it was started.
-    pub times: u32,
-    /// The sliding window in which they are counted.
-    pub period: Duration,
 }

@@ -134,7 +134,7 @@ impl World {
                     self.present.insert(child, (incarnation, Phase::Starting));
                 }
                 SupervisorOutput::Order { child, order: ChildOrder::Stop { .. } } => {
-                    assert!(!self.orders.contains(&child), "{child} stops under a standing order");
+                    assert!(!self.orders.contains(&child), "{child} stops under a grant");
                     if let Some((_, phase)) = self.present.get_mut(&child) {
                         *phase = Phase::Stopping;
                     }
@@ -147,15 +147,13 @@ impl World {
                     self.orders.remove(&child);
                     self.present.remove(&child);
                 }
-                SupervisorOutput::Order { child, order: ChildOrder::RestartGrant(grant) } => {
-                    match grant {
-                        Some(grant) => {
-                            assert_eq!(self.strategy, Strategy::OneForOne);
-                            assert!(grant.times > 0 && grant.times <= self.intensity);
-                            self.orders.insert(child);
-                        }
-                        None => drop(self.orders.remove(&child)),
-                    }
+                SupervisorOutput::Order { child, order: ChildOrder::GrantRestart(true) } => {
+                    assert_eq!(self.strategy, Strategy::OneForOne);
+                    assert!(self.intensity > 0);
+                    assert!(self.orders.insert(child), "it is granted twice");
+                }
+                SupervisorOutput::Order { child, order: ChildOrder::GrantRestart(false) } => {
+                    self.orders.remove(&child);
                 }
                 SupervisorOutput::Recovered { call, child, incarnation } => {
                     assert!(self.open.remove(&call), "{call:?} is answered twice");
@@ -259,7 +257,8 @@ impl World {
             Turn::IsFaulty(at) => self.is_found(&name(at), ReplacementCause::Faulty),
             Turn::DiesOnTheSpot(at) => {
                 let name = name(at);
-                if self.orders.contains(&name)
+                if self.present.contains_key(&name)
+                    && self.orders.remove(&name)
                     && let Some((incarnation, phase)) = self.present.get_mut(&name)
                 {
                     let old = *incarnation;

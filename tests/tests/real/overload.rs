@@ -2,7 +2,6 @@
 //! and order: a busy machine makes these tests slower, and changes nothing else.
 
 use blastema::core::detection::{FaultEntry, FaultRecord};
-use blastema::core::recovery::{Ladder, Plan, RecoveryAction};
 use blastema::prelude::*;
 use blastema::{Incarnation, NodeBuilder};
 use blastema_testkit::TestNode;

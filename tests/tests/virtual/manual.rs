@@ -3,9 +3,9 @@
 use blastema::core::contract::codec::SIZE_LIMIT;
 use blastema::core::delivery::dead_letters::KINDS_MAX;
 use blastema::core::delivery::quarantine::QuarantineConfig;
-use blastema::core::detection::{DetectorLimits, MonitorLimits, NotifierLimits};
+use blastema::core::detection::{FAULTS_ON_RECORD, MonitorLimits, NotifierLimits};
 use blastema::core::net::{RouterConfig, SessionConfig};
-use blastema::core::recovery::{LadderStep, RecovererLimits, SupervisorRules};
+use blastema::core::recovery::{CASES_MAX, LadderStep, SupervisorRules};
 use blastema::core::service::MEMBERS_MAX;
 use blastema::prelude::*;
 use blastema::{DEFAULT_DEADLINE, FaultLocation, Incarnation, NodeName};
@@ -76,14 +76,10 @@ fn the_limits_are_those_of_the_code() {
     check(&page, "bytes of one message in a session", mebibytes(session.message_max));
     assert!(page.contains(&format!("`max_size`, up to {}", mebibytes(SIZE_LIMIT))));
     check(&page, "rows of the monitor's table", thousands(MonitorLimits::default().rows));
-    check(&page, "faults on record", DetectorLimits::default().record.to_string());
+    check(&page, "faults on record", FAULTS_ON_RECORD.to_string());
     let (local, remote) = (notifier.local.per_second, notifier.remote.per_second);
     check(&page, "faults handed to the recoverer", format!("{local} a second, {remote} to other"));
-    check(
-        &page,
-        "locations that are treated at one time",
-        RecovererLimits::default().cases.to_string(),
-    );
+    check(&page, "locations that are treated at one time", CASES_MAX.to_string());
     check(&page, "dead letters", format!("{KINDS_MAX} counts"));
     check(&page, "nodes in one network; neighbours of a node", router.nodes_max.to_string());
     check(&page, "hops", router.hops.to_string());

@@ -3,10 +3,11 @@ use crate::fault_chain::strategy::{ApplyOutputs, RecoveryStrategy, SafeOutputs, 
 use crate::fault_chain::supervisor::SupervisorChild;
 use crate::fault_chain::tests::scripted::{Bench, ScriptedReply, fault};
 use crate::registry::Registry;
+use crate::runtime::callbacks::Callbacks;
 use crate::runtime::reports::FaultReports;
 use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};
 use blastema_core::detection::RecoveryOutcome;
-use blastema_core::recovery::{Ladder, Plan, RecovererLimits, SupervisorRules};
+use blastema_core::recovery::{Ladder, Plan, RecoveryDone, SupervisorRules};
 use blastema_core::{Fault, FaultId, FaultKind, FaultLocation, NodeName};
 use blastema_doubles::{Probe, paused, settle};
 use std::sync::Arc;
@@ -56,11 +57,11 @@ impl Chain {
             rest_node: node.recipient(),
         });
         let setup = RecovererSetup {
-            machine: recovery::Recoverer::new(here, plan, RecovererLimits::default(), 7),
+            machine: recovery::Recoverer::new(here, plan, 7),
             strategies,
             context,
             detector: outcomes.recipient(),
-            callbacks: Callbacks::default(),
+            threads: None,
         };
         let name = "chain/recoverer".parse().expect("a good name");
         let make = move |_: &mut Context<RecovererActor>| RecovererActor::new(setup);

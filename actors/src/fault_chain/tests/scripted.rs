@@ -137,10 +137,10 @@ impl Child for Scripted {
             ChildOrder::Isolate(isolated) => {
                 self.call(if isolated { "isolate" } else { "admit" });
             }
-            ChildOrder::RestartGrant(grant) => {
-                self.call(if grant.is_some() { "order" } else { "withdraw" });
+            ChildOrder::GrantRestart(granted) => {
+                self.call(if granted { "order" } else { "withdraw" });
             }
-            ChildOrder::ExpectEnd | ChildOrder::Retire => {}
+            ChildOrder::Retire => {}
         }
         false
     }

@@ -11,14 +11,12 @@ use crate::host::lifecycle::{EndReason, Hook, IncarnationLifecycle, LifecycleRep
 use crate::host::schedule::DueWork;
 use crate::liveness::label;
 use crate::messaging::death_watch::DownReason;
-use crate::platform;
 use crate::platform::panics;
-use blastema_contract::child::{ChildEvent, RestartGrant};
-use blastema_contract::reports::{ExitReason, FaultDeclared, StateReported};
-use blastema_core::{DeliveryError, FaultKind, Incarnation, Lifecycle, SlidingWindow};
+use blastema_contract::child::ChildEvent;
+use blastema_contract::reports::{ExitReason, Exited, FaultDeclared, StateReported};
+use blastema_core::{DeliveryError, FaultKind, Incarnation, Lifecycle};
 use std::any::Any;
 use std::rc::Rc;
-use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
 
 impl<C: Component> ComponentExecutor<C> {
@@ -45,11 +43,11 @@ impl<C: Component> ComponentExecutor<C> {
         self.service.name()
     }
 
-    /// This incarnation has ended by a panic. Begins the next one where a standing order says so.
+    /// This incarnation has ended by a panic. Begins the next one where the supervisor has granted that.
     #[cold]
     pub(super) fn died(&mut self, payload: Box<dyn Any + Send>, during: &'static str) {
         let panics::PanicRecord { text, at } = panics::read(payload);
-        let exit = Arc::new(ExitReason::Panicked { text, at, during });
+        let exit = ExitReason::Panicked { text, at, during };
         if self.service.slot.activity.is_busy() {
             self.service.slot.activity.step();
         }
@@ -59,21 +57,18 @@ impl<C: Component> ComponentExecutor<C> {
         let incarnation = self.state.incarnation;
         self.state.token.end();
         self.lose_message();
-        // Before what is the user's is dropped, which may block.
-        self.cell.record.cold().exits.keep(incarnation, exit.clone());
         self.dispose_of_all(Blame::Log);
-        let restarted_as = self.may_restart().then(|| incarnation.next());
+        let may_restart = !self.lifecycle.is_ending() && self.cell.record.take_grant();
+        let restarted_as = may_restart.then(|| incarnation.next());
         let mine = match restarted_as {
             Some(next) => self.cell.queue.pass_on(incarnation, next),
             None => self.cell.queue.leave(incarnation),
         };
         if !mine {
-            self.cell.record.cold().exits.forget(incarnation);
             return self.leave(); // It had been abandoned before: its report is not awaited.
         }
         match restarted_as {
             Some(next) => {
-                self.cell.record.cold().exits.set_restarted(incarnation, next);
                 self.state = Rc::new(IncarnationState::new(next, self.service.slot.activity));
                 self.lifecycle = IncarnationLifecycle::new();
                 self.begin_incarnation();
@@ -81,7 +76,7 @@ impl<C: Component> ComponentExecutor<C> {
             }
             None => self.over = true,
         }
-        self.report_exit(incarnation, &exit, restarted_as);
+        self.report_exit(incarnation, exit, restarted_as);
     }
 
     /// What is being served ends with the incarnation: its sender is notified, and it is a dead
@@ -95,24 +90,11 @@ impl<C: Component> ComponentExecutor<C> {
         record.record_dead_letter(contract, &why);
     }
 
-    /// Draws on the standing order, if there is one.
-    pub(super) fn may_restart(&mut self) -> bool {
-        let Some(RestartGrant { times, period, .. }) = self.cell.record.order() else {
-            return false;
-        };
-        if self.lifecycle.is_ending() {
-            return false;
-        }
-        let deaths = self.deaths.get_or_insert_with(|| Box::new(SlidingWindow::new(times, period)));
-        deaths.set_bounds(times, period);
-        deaths.add((), platform::now())
-    }
-
     /// Reports how an incarnation has ended to the monitor, the supervisor, and the watchers.
     pub(super) fn report_exit(
         &mut self,
         incarnation: Incarnation,
-        exit: &ExitReason,
+        exit: ExitReason,
         restarted_as: Option<Incarnation>,
     ) {
         let record = &self.cell.record;
@@ -120,28 +102,27 @@ impl<C: Component> ComponentExecutor<C> {
             Some(_) => listener.left_work(false),
             None => listener.deactivated(),
         });
-        record.tell_watchers(incarnation, DownReason::from(exit));
+        record.tell_watchers(incarnation, DownReason::from(&exit));
         let starting = self.lifecycle.is_starting() && restarted_as.is_none();
-        let event = match (exit, self.lifecycle.take_start_failure()) {
+        let event = match (&exit, self.lifecycle.take_start_failure()) {
             // One that has not come to work does not die in addition.
-            (_, Some(reason)) => Some(ChildEvent::StartFailed { reason }),
+            (_, Some(reason)) => ChildEvent::StartFailed { reason },
             (ExitReason::Stopped | ExitReason::Fatal, None)
                 if self.lifecycle.stop_order().is_some() =>
             {
-                Some(ChildEvent::Stopped)
+                ChildEvent::Stopped
             }
             (ExitReason::Panicked { text, at, .. }, None) if starting => {
-                Some(ChildEvent::StartFailed { reason: format!("it panicked at {at}: {text}") })
+                ChildEvent::StartFailed { reason: format!("it panicked at {at}: {text}") }
             }
-            _ => None,
+            _ => ChildEvent::Died { exit: exit.clone(), restarted_as },
         };
         // It is reported when the turn is over: the replacement's first reply does not wait for
-        // that. Where the replacement keeps its thread, the sampler reports it meanwhile, unless
-        // something is to be reported before it, such as why the component could not go on.
-        let supervisor = event.is_none().then(|| self.outbox.supervisor.clone());
-        let is_next = self.outbox.insert_exit(incarnation, event);
-        record.cold().exits.settle(incarnation, supervisor, is_next);
-        self.arbiter.heartbeat.owe_exits(true);
+        // that.
+        let object = record.name.clone();
+        let exited = Exited { object, incarnation, exit, restarted_as };
+        self.outbox.push(DeferredReport::Exited(exited));
+        self.outbox.push(DeferredReport::Child(event, incarnation));
     }
 
     /// The incarnation ends without a panic, its hooks done.
@@ -168,8 +149,7 @@ impl<C: Component> ComponentExecutor<C> {
             EndReason::Fatal => ExitReason::Fatal,
         };
         self.cell.record.set_state(Lifecycle::Finalized);
-        self.cell.record.cold().exits.keep(incarnation, exit.clone());
-        self.report_exit(incarnation, &exit, None);
+        self.report_exit(incarnation, exit, None);
     }
 
     /// Drops what is the user's: its `Drop` may panic, but not while unwinding and not into actix.
@@ -196,7 +176,6 @@ impl<C: Component> ComponentExecutor<C> {
         self.dispose_of_all(Blame::Log);
         self.outbox.retain_deaths_before(self.state.incarnation);
         self.flush();
-        self.arbiter.heartbeat.owe_exits(false);
         if self.arbiter.heartbeat.is_lost() {
             self.arbiter.return_late();
         } else {
@@ -222,8 +201,7 @@ impl<C: Component> ComponentExecutor<C> {
         self.lose_message();
         self.dispose_of_all(Blame::Log);
         self.cell.queue.leave(incarnation);
-        self.cell.record.cold().exits.keep(incarnation, ExitReason::Aborted);
-        self.report_exit(incarnation, &ExitReason::Aborted, None);
+        self.report_exit(incarnation, ExitReason::Aborted, None);
         self.flush();
     }
 
@@ -333,7 +311,6 @@ impl<C: Component> ComponentExecutor<C> {
 
     pub(super) fn flush(&mut self) {
         if !self.outbox.is_empty() {
-            self.arbiter.heartbeat.owe_exits(false);
             self.outbox.send(&self.cell.record);
         }
     }

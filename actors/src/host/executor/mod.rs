@@ -37,7 +37,7 @@ use crate::platform;
 use crate::platform::panics::PanicGuard;
 use actix::Recipient;
 use blastema_contract::child::ChildReport;
-use blastema_core::{DeliveryError, Incarnation, SlidingWindow};
+use blastema_core::{DeliveryError, Incarnation};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::rc::Rc;
 use std::sync::Arc;
@@ -69,8 +69,6 @@ pub(crate) struct ComponentExecutor<C: Component> {
     control: ControlInbox,
     /// This incarnation is over, and none comes after it here.
     over: bool,
-    /// The latest restarts by its guard, as far back as they count. There only where it has.
-    deaths: Option<Box<SlidingWindow>>,
     outbox: ReportOutbox,
 }
 
@@ -120,7 +118,6 @@ impl<C: Component> ComponentExecutor<C> {
             arbiter,
             control: ControlInbox { commands, waker: None },
             over: false,
-            deaths: None,
             outbox: ReportOutbox::new(supervisor),
         };
         executor.begin_incarnation();
@@ -448,11 +445,9 @@ impl<C: Component> ComponentExecutor<C> {
     /// Fulfils what a handler or hook asked for.
     fn grant(&mut self) {
         let wishes = self.state.take_wishes();
-        if let Some(interval) = wishes.interval
-            && self.schedule.set_interval(interval)
-        {
+        if let Some(interval) = wishes.interval {
+            self.schedule.set_interval(interval);
             self.service.slot.activity.run_every(interval);
-            self.lifecycle.handle_rate_changed();
         }
         if let Some(failure) = wishes.failure {
             self.cell.record.announce(|listener| listener.left_work(false));

@@ -3,13 +3,13 @@
 use crate::component::cell::CellCore;
 use actix::Recipient;
 use blastema_contract::child::{ChildEvent, ChildReport};
-use blastema_contract::reports::{FaultDeclared, StateReported};
+use blastema_contract::reports::{Exited, FaultDeclared, StateReported};
 use blastema_core::Incarnation;
 use std::sync::Arc;
 
 /// Reported when the poll is over, so that the replacement's first message does not wait for it.
 pub(super) enum DeferredReport {
-    Exited(Incarnation),
+    Exited(Exited),
     State(StateReported),
     Declared(FaultDeclared),
     Child(ChildEvent, Incarnation),
@@ -48,24 +48,11 @@ impl ReportOutbox {
         self.push(DeferredReport::State(report));
     }
 
-    /// Enters the end of an incarnation, before the reports of its replacement. Returns whether it
-    /// is sent first.
-    pub(super) fn insert_exit(
-        &mut self,
-        incarnation: Incarnation,
-        event: Option<ChildEvent>,
-    ) -> bool {
-        let position = self.reports.iter().position(|report| report.is_of_after(incarnation));
-        let position = position.unwrap_or(self.reports.len());
-        let child = event.map(|event| DeferredReport::Child(event, incarnation));
-        let exited = [DeferredReport::Exited(incarnation)];
-        self.reports.splice(position..position, exited.into_iter().chain(child));
-        position == 0
-    }
-
     /// Keeps only the ends of incarnations before this one.
     pub(super) fn retain_deaths_before(&mut self, present: Incarnation) {
-        self.reports.retain(|report| matches!(report, DeferredReport::Exited(of) if *of < present));
+        self.reports.retain(
+            |report| matches!(report, DeferredReport::Exited(of) if of.incarnation < present),
+        );
     }
 
     /// Sends all reports.
@@ -74,7 +61,9 @@ impl ReportOutbox {
         // Taken, not drained: an outbox without reports keeps no memory for them.
         for report in std::mem::take(&mut self.reports) {
             match report {
-                DeferredReport::Exited(incarnation) => record.tell_exits(incarnation),
+                DeferredReport::Exited(exited) => {
+                    to.exits.iter().for_each(|to| to.do_send(exited.clone()));
+                }
                 DeferredReport::State(state) => {
                     to.states.iter().for_each(|to| to.do_send(state.clone()));
                 }
@@ -86,17 +75,6 @@ impl ReportOutbox {
                     self.supervisor.do_send(ChildReport { object, incarnation, event });
                 }
             }
-        }
-    }
-}
-
-impl DeferredReport {
-    pub(super) fn is_of_after(&self, incarnation: Incarnation) -> bool {
-        match self {
-            DeferredReport::Exited(of) => *of > incarnation,
-            DeferredReport::State(state) => state.incarnation > incarnation,
-            DeferredReport::Declared(declared) => declared.incarnation > incarnation,
-            DeferredReport::Child(_, of) => *of > incarnation,
         }
     }
 }

@@ -108,7 +108,6 @@ async fn run_hook<C: Component>(slot: Rc<ComponentSlot<C>>, hook: Hook) -> Resul
         Hook::Startup => component.on_startup(cx).await,
         Hook::Activated => component.on_activated(cx).await,
         Hook::Execute => component.on_execute(cx).await,
-        Hook::RateChanged => component.on_rate_changed(cx).await,
         Hook::Deactivated => component.on_deactivated(cx).await,
         Hook::Aborting => component.on_aborting(cx).await,
         Hook::Error => component.on_error(cx).await,

@@ -112,21 +112,19 @@ fn a_failed_initialisation_is_fatal() {
 
 #[test]
 fn a_hook_that_fails_leads_to_error_and_a_reset_back_to_work() {
-    for hook in [Hook::Execute, Hook::RateChanged] {
-        let mut lifecycle = incarnation(Active);
-        lifecycle.handle_done(hook, failed("out of range"));
-        assert_eq!(run(&mut lifecycle), [Hook::Aborting, Hook::Error]);
-        assert_eq!(next(&mut lifecycle), LifecycleStep::Rest);
-        let reported = reports(&mut lifecycle);
-        assert_eq!(reported, [LifecycleReport::State(Error, Some("out of range".into()))]);
+    let mut lifecycle = incarnation(Active);
+    lifecycle.handle_done(Hook::Execute, failed("out of range"));
+    assert_eq!(run(&mut lifecycle), [Hook::Aborting, Hook::Error]);
+    assert_eq!(next(&mut lifecycle), LifecycleStep::Rest);
+    let reported = reports(&mut lifecycle);
+    assert_eq!(reported, [LifecycleReport::State(Error, Some("out of range".into()))]);
 
-        lifecycle.handle_reset();
-        lifecycle.handle_reset();
-        assert_eq!(run(&mut lifecycle), [Hook::Reset, Hook::Activated]);
-        let reported = reports(&mut lifecycle);
-        assert_eq!(states(&reported), [Initialized, Active]);
-        assert_eq!(answers(reported), [ChildEvent::Reset]);
-    }
+    lifecycle.handle_reset();
+    lifecycle.handle_reset();
+    assert_eq!(run(&mut lifecycle), [Hook::Reset, Hook::Activated]);
+    let reported = reports(&mut lifecycle);
+    assert_eq!(states(&reported), [Initialized, Active]);
+    assert_eq!(answers(reported), [ChildEvent::Reset]);
 }
 
 #[test]
@@ -279,19 +277,6 @@ fn a_declared_failure_acts_in_every_state_that_can_still_fail() {
     }
 }
 
-#[test]
-fn a_changed_rate_is_told_only_at_work() {
-    for state in [Created, Initialized, Error, Fatal, Finalized] {
-        let mut lifecycle = incarnation(state);
-        let before = lifecycle.hooks.clone();
-        lifecycle.handle_rate_changed();
-        assert_eq!(lifecycle.hooks, before, "{state}");
-    }
-    let mut lifecycle = incarnation(Active);
-    lifecycle.handle_rate_changed();
-    assert_eq!(run(&mut lifecycle), [Hook::RateChanged]);
-}
-
 fn missing() -> Result<(), Failure> {
     Err(Failure::unavailable("no device"))
 }
@@ -397,25 +382,6 @@ fn a_hook_that_runs_is_not_ordered_a_second_time() {
     starting.handle_activate(true);
     starting.handle_done(Hook::Activated, Ok(()));
     assert_eq!(run(&mut starting), []);
-}
-
-#[test]
-fn an_order_to_leave_work_is_not_lost_beside_a_changed_rate() {
-    let mut lifecycle = incarnation(Active);
-    lifecycle.handle_rate_changed();
-
-    lifecycle.handle_activate(false);
-
-    assert_eq!(run(&mut lifecycle), [Hook::RateChanged, Hook::Deactivated]);
-    assert_eq!(lifecycle.state, Initialized);
-
-    lifecycle.handle_activate(true);
-    run(&mut lifecycle);
-    lifecycle.handle_activate(false);
-    assert_eq!(next(&mut lifecycle), LifecycleStep::Run(Hook::Deactivated));
-    lifecycle.handle_rate_changed();
-    lifecycle.handle_done(Hook::Deactivated, Ok(()));
-    assert_eq!(run(&mut lifecycle), [], "the component is not at work");
 }
 
 #[test]

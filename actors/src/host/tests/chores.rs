@@ -1,6 +1,6 @@
 //! Timers, tasks, threads and isolation.
 
-use super::{Log, Stage, logged, order};
+use super::{GRANT, Log, Stage, logged};
 use crate::liveness::sampler::AliveSource;
 use crate::platform;
 use crate::{
@@ -127,7 +127,7 @@ async fn kit() -> Kit {
     let (l, d) = (log.clone(), detached.clone());
     let spec = ChildSpec::new("worker", move || Worker { log: l.clone(), detached: d.clone() });
     let (mut child, worker) = stage.start(spec).await;
-    child.order(order(5));
+    child.order(GRANT);
     Kit { stage, _child: child, worker, log, detached }
 }
 

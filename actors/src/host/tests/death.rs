@@ -1,15 +1,14 @@
-//! Panics, standing orders, aborts, death watch.
+//! Panics, grants of restarts, aborts, death watch.
 
-use super::{Acc, Boom, ChildOrder, Note, Slow, Stage, acc, boom, logged, order};
+use super::{Acc, Boom, ChildOrder, GRANT, Note, Slow, Stage, acc, boom, logged};
 use crate::{
     ChildSpec, Component, Context, DeliveryError, Down, DownReason, Event, Handle, Incarnation,
 };
 use blastema_contract::child::ChildEvent;
 use blastema_contract::reports::ExitReason;
 use blastema_core::Lifecycle;
-use blastema_doubles::{advance, paused, settle};
+use blastema_doubles::{paused, settle};
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
 use tokio::task::spawn_local;
 
 #[test]
@@ -17,7 +16,7 @@ fn the_asker_of_the_message_that_kills_is_told_which_incarnation_died() {
     paused(async {
         let stage = Stage::new();
         let (mut child, acc) = stage.start(acc("acc").0).await;
-        child.order(order(5));
+        child.order(GRANT);
 
         let died = acc.ask(boom("x")).await.unwrap_err();
 
@@ -28,12 +27,12 @@ fn the_asker_of_the_message_that_kills_is_told_which_incarnation_died() {
 }
 
 #[test]
-fn a_standing_order_has_an_end_and_the_queue_waits_for_the_supervisor() {
+fn a_grant_is_for_one_restart_and_the_queue_waits_for_the_supervisor() {
     paused(async {
         let stage = Stage::new();
         let (spec, log) = acc("acc");
         let (mut child, acc) = stage.start(spec).await;
-        child.order(order(1));
+        child.order(GRANT);
         acc.tell(boom("one")).unwrap();
         acc.tell(boom("two")).unwrap();
         acc.tell(Note(3)).unwrap();
@@ -53,18 +52,13 @@ fn a_standing_order_has_an_end_and_the_queue_waits_for_the_supervisor() {
 }
 
 #[test]
-fn a_standing_order_is_worth_its_number_in_every_period() {
+fn a_grant_that_is_taken_back_restarts_nothing() {
     paused(async {
         let stage = Stage::new();
         let (mut child, acc) = stage.start(acc("acc").0).await;
-        child.order(order(1));
-        for _ in 0..3 {
-            acc.tell(boom("x")).unwrap();
-            advance(Duration::from_secs(11)).await;
-        }
-        assert!(stage.exits.drain().iter().all(|exited| exited.restarted_as.is_some()));
+        child.order(GRANT);
+        child.order(ChildOrder::GrantRestart(false));
 
-        child.order(ChildOrder::RestartGrant(None));
         acc.tell(boom("x")).unwrap();
         settle().await;
 
@@ -103,9 +97,9 @@ fn who_watches_is_told_how_each_incarnation_ends_until_its_own_does() {
         let kept = told.clone();
         let spec = ChildSpec::new("widow", move || Widow(kept.clone()));
         let (mut widow_child, widow) = stage.start(spec).await;
-        widow_child.order(order(5));
+        widow_child.order(GRANT);
         let (mut child, acc) = stage.start::<Acc>(acc("acc").0).await;
-        child.order(order(5));
+        child.order(GRANT);
         let endings = || {
             let downs = std::mem::take(&mut *told.lock().unwrap());
             downs.into_iter().map(|down| (down.incarnation.0, down.ending)).collect::<Vec<_>>()

@@ -1,6 +1,6 @@
 //! What a component left behind in threads, tasks and publishers is fenced with its incarnation.
 
-use super::{Boom, ChildOrder, Log, Stage, boom, logged, order};
+use super::{Boom, ChildOrder, GRANT, Log, Stage, boom, logged};
 use crate::arbiter::pool::ArbiterPool;
 use crate::topic::Publisher;
 use crate::{ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Ports};
@@ -144,7 +144,7 @@ mod real {
             let (spec, log) = ear();
             let (_ear, _) = stage.start(spec).await;
             let (mut child, source) = stage.start(source(&bench)).await;
-            child.order(order(5));
+            child.order(GRANT);
             let first = bench.publishers.lock().unwrap()[0].clone();
             let (tell, answers) = thread(first);
 

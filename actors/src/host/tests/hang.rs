@@ -1,6 +1,6 @@
 //! Hangs, fences, lost arbiters; silence and waiting.
 
-use super::{ChildOrder, Log, Stage, acc, logged, order};
+use super::{ChildOrder, Log, Stage, acc, logged};
 use crate::arbiter::pool::ArbiterPool;
 use crate::liveness::sampler;
 use crate::liveness::sampler::SamplerGuard;
@@ -223,17 +223,6 @@ fn a_round_that_succeeds_is_a_sign_of_life() {
     });
 }
 
-/// Panics when it is let go, and blocks from then on until it is let go once more.
-struct Relapsing(Gate);
-
-impl Component for Relapsing {}
-impl Handle<Said> for Relapsing {
-    async fn handle(&mut self, Said(n): Said, _: &mut Context<Self>) {
-        self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner).recv().unwrap();
-        assert!(n != 0, "it was told to");
-    }
-}
-
 /// On real threads.
 mod real {
     use super::*;
@@ -441,37 +430,6 @@ mod real {
                 .await;
             assert_eq!(logged(&site.received), [9, 9], "the old incarnation is fenced");
             site.stage.environment.arbiters.stop();
-        });
-    }
-
-    #[test]
-    fn a_death_is_told_while_the_replacement_keeps_its_thread() {
-        let _turn = blastema_doubles::turn();
-        actix_rt::System::new().block_on(async {
-            let site = Site::new(1, Duration::from_secs(60)).await;
-            let gate = site.gate.clone();
-            let spec = ChildSpec::new("relapsing", move || Relapsing(gate.clone()));
-            let (mut child, relapsing) =
-                site.stage.start(spec.max_block(Duration::from_secs(60))).await;
-            child.order(order(1));
-            relapsing.tell(Said(0)).unwrap();
-            relapsing.tell(Said(1)).unwrap();
-
-            site.open.send(()).unwrap();
-
-            let exited = site.stage.exits.wait(|exited| exited.object == *child.name()).await;
-            assert_eq!(
-                (exited.incarnation, exited.restarted_as),
-                (Incarnation(1), Some(Incarnation(2)))
-            );
-            let died = |event: &ChildEvent| {
-                matches!(event, ChildEvent::Died { restarted_as: Some(_), .. })
-            };
-            site.stage.reports.wait(|report| died(&report.event)).await;
-            assert_eq!(site.stage.exits.drain(), [], "once");
-            site.open.send(()).unwrap();
-            child.order(ChildOrder::Stop { again: false });
-            site.stage.reports.wait(|report| report.event == ChildEvent::Stopped).await;
         });
     }
 }

@@ -1,6 +1,6 @@
 //! No two incarnations of one component have one number, in whatever way they begin.
 
-use super::{Add, Boom, ChildOrder, Slow, Stage, acc, boom, order};
+use super::{Add, Boom, ChildOrder, GRANT, Slow, Stage, acc, boom};
 use crate::arbiter::pool::ArbiterPool;
 use crate::{ChildSpec, Component, Context, DeliveryError, Failure, Handle, Incarnation, Ports};
 use blastema_contract::child::ChildEvent;
@@ -14,7 +14,7 @@ fn an_order_during_a_restart_by_the_guard_has_its_own_number() {
         let stage = Stage::new();
         let (spec, _) = acc("acc");
         let (mut child, acc) = stage.start(spec).await;
-        child.order(order(5));
+        child.order(GRANT);
         acc.tell(boom("one")).unwrap();
         assert_eq!(
             acc.ask(Slow(0)).await,
@@ -77,7 +77,7 @@ mod real {
                 .queue(64, crate::WhenFull::Refuse);
             let (mut child, census) = stage.start(spec).await;
             for round in 0..200_u64 {
-                child.order(order(u32::MAX));
+                child.order(GRANT);
                 let _ = census.tell(boom("struck"));
                 // Sooner or later than the panic, from round to round.
                 (0..20 * (round % 50)).for_each(|_| std::hint::spin_loop());

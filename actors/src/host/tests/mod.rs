@@ -24,7 +24,7 @@ use crate::component::environment::ComponentEnvironment;
 use crate::node::assembly::with_features;
 use crate::runtime::reports::FaultReports;
 use crate::{ActorRef, Component, Context, Event, Handle, Ports, Request};
-use blastema_contract::child::{Child, ChildEvent, ChildOrder, ChildReport, RestartGrant};
+use blastema_contract::child::{Child, ChildEvent, ChildOrder, ChildReport};
 use blastema_contract::reports::{Exited, FaultDeclared, StateReported};
 use blastema_core::Incarnation;
 use blastema_doubles::Probe;
@@ -80,9 +80,8 @@ impl Stage {
     }
 }
 
-pub(super) fn order(times: u32) -> ChildOrder {
-    ChildOrder::RestartGrant(Some(RestartGrant { times, period: Duration::from_secs(10) }))
-}
+/// The component's guard may restart it once.
+pub(super) const GRANT: ChildOrder = ChildOrder::GrantRestart(true);
 
 pub(super) type Log = Arc<Mutex<Vec<u64>>>;
 

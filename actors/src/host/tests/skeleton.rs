@@ -1,6 +1,6 @@
 //! Names, and the way in from outside the process.
 
-use super::{Add, Boom, Note, Stage, acc, boom, logged, order};
+use super::{Add, Boom, GRANT, Note, Stage, acc, boom, logged};
 use crate::registry::{MessageMetadata, ReplyTo};
 use crate::{
     Blob, ChildSpec, Component, Context, DeadReason, DeliveryError, Handle, Incarnation,
@@ -43,7 +43,6 @@ fn bytes_from_outside_are_served_and_the_reply_goes_back_as_bytes() {
         let stage = Stage::new();
         let (spec, log) = acc("acc");
         let (mut child, _) = stage.start(spec).await;
-        child.order(order(9));
         let registry = &stage.environment.registry;
         let (identity, add) = registry.skeleton(&name("acc"), Add::NAME).unwrap();
         assert_eq!(identity.fingerprint, ContractIdentity::of::<Add>().fingerprint);
@@ -61,6 +60,7 @@ fn bytes_from_outside_are_served_and_the_reply_goes_back_as_bytes() {
 
         let (_, kill) = registry.skeleton(&name("acc"), Boom::NAME).unwrap();
         for incarnation in 1..=3 {
+            child.order(GRANT);
             let (place, reply_to) = reply();
             kill.deliver(&encoded(&boom("x")), metadata(ID), Some(reply_to)).unwrap();
             settle().await;

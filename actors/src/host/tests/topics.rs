@@ -1,6 +1,6 @@
 //! Publish and subscribe.
 
-use super::{Boom, Log, Stage, boom, logged, order};
+use super::{Boom, GRANT, Log, Stage, boom, logged};
 use crate::topic::{EventForward, Reservation, TopicKey};
 use crate::{
     ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Ports, WhenFull,
@@ -114,7 +114,7 @@ fn a_subscription_ends_with_a_stop_and_returns_with_the_next_incarnation() {
         let stage = Stage::new();
         let (spec, log) = listener("ear");
         let (mut child, ear) = stage.start(spec).await;
-        child.order(order(1));
+        child.order(GRANT);
         ear.tell(boom("x")).unwrap();
         settle().await;
         publish(&stage, "other", 1);
@@ -151,12 +151,17 @@ fn a_panic_in_a_condition_or_on_an_event_is_the_listeners_alone() {
         let ((one, one_log), (two, two_log)) = (listener("one"), listener("two"));
         let (mut one, _) = stage.start(one).await;
         let (mut two, _) = stage.start(two).await;
-        one.order(order(5));
-        two.order(order(5));
+
+        one.order(GRANT);
+        two.order(GRANT);
 
         publish(&stage, Sample::NAME, 666);
         publish(&stage, "other", 13);
         publish(&stage, "other", 1);
+        settle().await;
+        stage.reports.drain();
+        stage.begin(&mut *one, 3).await;
+        stage.begin(&mut *two, 3).await;
         settle().await;
 
         let exits = stage.exits.drain();
@@ -193,7 +198,7 @@ fn the_replacement_of_a_listener_that_dies_of_an_event_begins_without_another() 
     paused(async {
         let stage = Stage::new();
         let (mut child, _) = stage.start(listener("ear").0).await;
-        child.order(order(1));
+        child.order(GRANT);
         settle().await;
 
         publish(&stage, "other", 13);

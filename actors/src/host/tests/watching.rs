@@ -1,6 +1,6 @@
 //! Death watch: no notice is lost to a full queue, and no watch outlives its watcher.
 
-use super::{Acc, Add, Boom, Stage, acc, boom, order};
+use super::{Acc, Add, Boom, GRANT, Stage, acc, boom};
 use crate::messaging::queue::WhenFull;
 use crate::{
     ActorRef, ChildSpec, Component, Context, DeliveryError, Down, DownReason, Event, Failure,
@@ -111,8 +111,8 @@ fn a_full_queue_loses_no_notice_whatever_its_policy() {
             let stage = Stage::new();
             let (mut one, acc_one) = stage.start::<Acc>(acc("one").0).await;
             let (mut two, acc_two) = stage.start::<Acc>(acc("two").0).await;
-            one.order(order(5));
-            two.order(order(5));
+            one.order(GRANT);
+            two.order(GRANT);
             let (spec, reported) = widow("widow", &["one", "two"]);
             let (_widow, widow) = stage.start(spec.queue(1, policy)).await;
             widow.tell(Chatter(1)).unwrap();
@@ -122,6 +122,7 @@ fn a_full_queue_loses_no_notice_whatever_its_policy() {
             acc_one.tell(boom("first")).unwrap();
             acc_two.tell(boom("other")).unwrap();
             settle().await;
+            one.order(GRANT);
             acc_one.tell(boom("second")).unwrap();
             settle().await;
             assert_eq!(taken(&reported), [], "it is busy");
@@ -148,7 +149,7 @@ fn an_isolated_watcher_is_told_when_it_is_let_in_again() {
     paused(async {
         let stage = Stage::new();
         let (mut child, arm) = stage.start::<Acc>(acc("arm").0).await;
-        child.order(order(5));
+        child.order(GRANT);
         let (spec, reported) = widow("widow", &["arm"]);
         let (mut watcher, _) = stage.start(spec).await;
 
@@ -168,10 +169,10 @@ fn a_notice_that_was_not_taken_ends_with_the_incarnation_that_watched() {
     paused(async {
         let stage = Stage::new();
         let (mut child, arm) = stage.start::<Acc>(acc("arm").0).await;
-        child.order(order(5));
+        child.order(GRANT);
         let (spec, reported) = widow("widow", &["arm"]);
         let (mut watcher, widow) = stage.start(spec).await;
-        watcher.order(order(5));
+        watcher.order(GRANT);
         widow.tell(Chatter(1)).unwrap();
         settle().await;
 
@@ -182,6 +183,7 @@ fn a_notice_that_was_not_taken_ends_with_the_incarnation_that_watched() {
         settle().await;
 
         assert_eq!(taken(&reported), [], "the second incarnation saw it alive");
+        child.order(GRANT);
         arm.tell(boom("y")).unwrap();
         settle().await;
         assert!(matches!(&taken(&reported)[..], [Received::Down(_, 2, _)]));
@@ -205,7 +207,6 @@ fn three_hundred_incarnations_that_watch_listen_and_publish_leave_nothing_behind
         }));
         let (spec, _) = widow("widow", &["arm", "widow", "absent"]);
         let (mut child, widow) = stage.start(spec).await;
-        child.order(order(1000));
         settle().await;
         let before = (watchers(&arm), watchers(&widow), Arc::strong_count(&widow.0));
         // Its variables' store watches the widow too.
@@ -213,6 +214,7 @@ fn three_hundred_incarnations_that_watch_listen_and_publish_leave_nothing_behind
         assert_eq!(stage.environment.variables().watchers(), 1);
 
         for incarnation in 1..=300 {
+            child.order(GRANT);
             widow.tell(boom("again")).unwrap();
             settle().await;
             assert_eq!(widow.incarnation(), Incarnation(incarnation + 1));

@@ -9,7 +9,7 @@ use crate::fault_chain::directory::SupervisorDirectory;
 use crate::fault_chain::outside::{ChainWatch, OutsideSetup};
 use crate::fault_chain::recoverer::{RecovererActor, RecovererSetup};
 use crate::fault_chain::strategy::{
-    SAFE_OUTPUTS, SafeOutputs, StrategyContext, StrategyTargets, object_of,
+    SAFE_OUTPUTS, SafeOutputs, StrategyContext, StrategyTargets, StrategyThreads, object_of,
 };
 use crate::liveness::sampler::SamplerGuard;
 use crate::node::builder::{ActorPlacement, NodeBuilder};
@@ -27,7 +27,7 @@ use blastema_contract::notifier::AddPort;
 use blastema_contract::reports::AreYouAlive;
 use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};
 use blastema_core::detection::{RecovererPort, RegistrationError};
-use blastema_core::recovery::{self, RecovererLimits};
+use blastema_core::recovery;
 use blastema_core::sorted::SortedSet;
 use blastema_core::{Fault, FaultKind, Incarnation, NodeName, ObjectName};
 use std::sync::atomic::Ordering::Relaxed;
@@ -178,14 +178,14 @@ pub(super) fn make_chain(
     );
     guardian.report_to(monitor.clone().recipient());
 
-    let callbacks = match builder.placement {
-        ActorPlacement::Here => Callbacks::default(),
-        ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => {
-            Callbacks::on_threads(builder.callback_limit, arbiters.clone())
-        }
-    };
     let reports = reports(&monitor);
-    callbacks.report_to(reports.clone());
+    let (callbacks, threads) = match builder.placement {
+        ActorPlacement::Here => (Callbacks::default(), None),
+        ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => (
+            Callbacks::on_threads(builder.callback_limit, arbiters.clone()),
+            Some(StrategyThreads { arbiters: arbiters.clone(), reports: reports.clone() }),
+        ),
+    };
     let (state, actuators) = (builder.state.subscribe(), ActuatorTable::new(callbacks.clone()));
     let safe_outputs = SafeOutputs::new(builder.safe_outputs.clone(), callbacks.clone(), reports);
     let setup = NodeControllerSetup {
@@ -215,11 +215,11 @@ pub(super) fn make_chain(
     let spec = platform::random_seed();
     let plan = builder.plan.clone();
     let setup = RecovererSetup {
-        machine: recovery::Recoverer::new(node.clone(), plan, RecovererLimits::default(), spec),
+        machine: recovery::Recoverer::new(node.clone(), plan, spec),
         strategies: builder.strategies.clone(),
         context,
         detector: monitor.clone().recipient(),
-        callbacks: callbacks.clone(),
+        threads,
     };
     let recoverer = guardian.start(
         named("chain/recoverer"),

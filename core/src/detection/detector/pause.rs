@@ -3,7 +3,7 @@
 //! A node that does not run sends no hellos, so its peers declare its links down, rightly. What it
 //! finds of links and nodes afterwards has its cause here and not there.
 
-use super::{Cause, Detector, Scene};
+use super::{AFTER_PAUSE, Cause, Detector, PAUSE, Scene};
 use crate::{Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant};
 use std::time::Duration;
 
@@ -23,13 +23,13 @@ impl Detector {
     /// What was found of links and other nodes since this node began to stand still is a symptom of
     /// that, and so is what is found for a while from now on.
     pub(super) fn judge_pause(&mut self, scene: &Scene, span: Duration) {
-        let is_long = span >= self.limits.pause;
+        let is_long = span >= PAUSE;
         let (before, fault) = match self.pause.take() {
             Some(Pause { until, fault, .. }) => (until, fault.filter(|_| !is_long)),
             None => (Instant::ORIGIN, None),
         };
         let (location, ended_at) = (scene.location.clone(), scene.at);
-        let until = before.max(scene.at + self.limits.pause);
+        let until = before.max(scene.at + PAUSE);
         self.pause = Some(Pause { location, span, ended_at, until, fault });
         let suffers = |fault: &&Fault| {
             let of_network =
@@ -66,7 +66,7 @@ impl Detector {
         self.recover(id, at);
         let pause = self.pause.as_mut()?;
         pause.fault = Some(id);
-        pause.until = pause.until.max(at + self.limits.after_pause);
+        pause.until = pause.until.max(at + AFTER_PAUSE);
         Some(id)
     }
 

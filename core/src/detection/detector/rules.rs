@@ -1,6 +1,6 @@
 //! What each finding means: the detector's opinion of objects, links and nodes.
 
-use super::{Cause, Detector, Scene, Seen};
+use super::{AFTER_PAUSE, Cause, Detector, HINDSIGHT, Scene, Seen};
 use crate::detection::{ExitReason, Finding, LinkCondition, NodeCondition, OverloadFigures};
 use crate::{
     Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant, Lifecycle, NodeName, ObjectName,
@@ -21,7 +21,7 @@ impl Detector {
             return;
         }
         if scene.incarnation < seen.incarnation {
-            return self.judge_late(&scene, finding);
+            return;
         }
         let is_newer = scene.incarnation > seen.incarnation;
         if is_newer {
@@ -85,25 +85,6 @@ impl Detector {
     /// The hang or overload behind which an object is blocked.
     pub(super) fn behind(&self, object: &ObjectName) -> Option<FaultId> {
         self.objects.get(object)?.behind
-    }
-
-    /// What is seen of an incarnation that is over changes nothing; but that it panicked is
-    /// reported in every case. Its report comes late where what the panic left behind has blocked
-    /// its thread.
-    fn judge_late(&mut self, scene: &Scene, finding: Finding) {
-        let Finding::Exited { exit: ExitReason::Panicked { text, at, during }, .. } = finding
-        else {
-            self.stale += 1;
-            return;
-        };
-        if let Some(id) = self.fault_log.open_fault(&scene.location, &FaultKind::Panic) {
-            let entry = self.fault_log.entry_mut(id).expect("it stands");
-            entry.fault.count = entry.fault.count.saturating_add(1);
-            return;
-        }
-        let detail = describe_panic(&text, &at, during);
-        let id = self.record(scene, FaultKind::Panic, detail, Cause::Itself);
-        self.await_next_incarnation(id, scene.at);
     }
 
     /// An object that waits behind a hang is remembered, so that its silence is known for a
@@ -312,13 +293,8 @@ impl Detector {
             return;
         };
         match condition {
-            NodeCondition::Reachable => {
-                self.nodes.handle_reachable(&node, scene.at);
-                self.end_kind(&scene, &FaultKind::NodeLost);
-            }
+            NodeCondition::Reachable => self.end_kind(&scene, &FaultKind::NodeLost),
             NodeCondition::Left | NodeCondition::Removed => {
-                self.nodes.forget_restarts(&node);
-                self.end_kind(&scene, &FaultKind::CrashLoop);
                 self.end_kind(&scene, &FaultKind::NodeLost);
                 self.end_kind(&scene, &FaultKind::NodeInSafeState);
                 self.end_kind(&scene, &FaultKind::ConnectionLost);
@@ -332,9 +308,7 @@ impl Detector {
             // They are no findings.
             NodeCondition::Listed | NodeCondition::MayBeAway => {}
             NodeCondition::Lost { reason } => {
-                self.nodes.handle_lost(&node);
-                let cause = self.crash_loop_of(&scene);
-                let cause = self.pause_or(cause);
+                let cause = self.pause_or(Cause::Itself);
                 self.find(&scene, FaultKind::NodeLost, reason, cause);
             }
             NodeCondition::Paused { span } => self.judge_pause(&scene, span),
@@ -349,7 +323,7 @@ impl Detector {
             }
             NodeCondition::Relieved => self.end_overload(&scene),
             NodeCondition::Offends { what } => {
-                if let Some(detail) = self.nodes.handle_offence(&node, what, scene.at) {
+                if let Some(detail) = self.offences.handle_offence(&node, what, scene.at) {
                     self.find(&scene, FaultKind::NodeFaulty, detail, Cause::Itself);
                 }
             }
@@ -358,7 +332,7 @@ impl Detector {
                 self.find(&scene, FaultKind::NodeFaulty, detail, Cause::Itself);
             }
             NodeCondition::Admitted => {
-                self.nodes.handle_admitted(&node);
+                self.offences.handle_admitted(&node);
                 self.end_kind(&scene, &FaultKind::NodeFaulty);
             }
             NodeCondition::MessagesLost { detail } => {
@@ -368,19 +342,10 @@ impl Detector {
             NodeCondition::InSession => self.end_kind(&scene, &FaultKind::ConnectionLost),
             NodeCondition::Restarted => {
                 self.end_kind(&scene, &FaultKind::NodeInSafeState);
-                if let Some(count) = self.nodes.handle_restarted(&node, scene.at) {
-                    let period = self.limits.crash_loop_period;
-                    let detail = format!(
-                        "its process died and was started again {count} times, and never stayed \
-                         up for {period:?}"
-                    );
-                    self.find(&scene, FaultKind::CrashLoop, detail, Cause::Itself);
-                }
                 let known = self.fault_log.open_fault(&scene.location, &FaultKind::NodeLost);
                 let id = known.unwrap_or_else(|| {
                     let detail = "its process died and began again".into();
-                    let cause = self.crash_loop_of(&scene);
-                    self.record(&scene, FaultKind::NodeLost, detail, cause)
+                    self.record(&scene, FaultKind::NodeLost, detail, Cause::Itself)
                 });
                 self.recover(id, scene.at);
                 self.end(id, scene.at);
@@ -394,7 +359,7 @@ impl Detector {
         let lately = |fault: &&Fault| {
             let entry = self.fault_log.entry(fault.id);
             let ended = entry.and_then(|entry| entry.repaired_at);
-            ended.is_none_or(|at| scene.at - at <= self.limits.after_pause)
+            ended.is_none_or(|at| scene.at - at <= AFTER_PAUSE)
         };
         let is_cause = |fault: &&Fault| match &fault.location {
             FaultLocation::Node(_) => {
@@ -407,19 +372,6 @@ impl Detector {
         };
         let mut causes = self.fault_log.latest_first().filter(is_cause).filter(lately);
         causes.next().map_or(Cause::Itself, |fault| Cause::Known(fault.id))
-    }
-
-    /// A node that has stayed up for long enough is in a crash loop no more.
-    pub(super) fn end_crash_loop(&mut self, node: NodeName, at: Instant) {
-        let scene =
-            Scene { location: FaultLocation::Node(node), incarnation: Incarnation::default(), at };
-        self.end_kind(&scene, &FaultKind::CrashLoop);
-    }
-
-    /// A death in a crash loop is a symptom of that.
-    fn crash_loop_of(&self, scene: &Scene) -> Cause {
-        let known = self.fault_log.open_fault(&scene.location, &FaultKind::CrashLoop);
-        known.map_or(Cause::Itself, Cause::Known)
     }
 
     /// A node that leaves in order takes its ends of the cables along.
@@ -441,7 +393,7 @@ impl Detector {
     /// The hang that kept the thread; where the culprit was cut off before it was found to hang,
     /// what was found of the culprit shortly before.
     fn cause_of_loss(&self, victim: &ObjectName, culprit: &ObjectName, at: Instant) -> Cause {
-        let since = at - (Instant::ORIGIN + self.limits.hindsight);
+        let since = at - (Instant::ORIGIN + HINDSIGHT);
         let is_at_culprit = |fault: &Fault| match &fault.location {
             FaultLocation::Object(address) => address.object == *culprit,
             _ => false,

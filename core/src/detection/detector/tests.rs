@@ -58,13 +58,9 @@ struct Bench {
 
 impl Bench {
     fn new() -> Self {
-        Bench::with(DetectorLimits::default())
-    }
-
-    fn with(limits: DetectorLimits) -> Self {
         let mut notifier = Notifier::new(NotifierLimits::default());
         notifier.add_port(RecovererPort::Local, at(0));
-        Bench { detector: Detector::new(node("m"), limits), notifier, now: at(0) }
+        Bench { detector: Detector::new(node("m")), notifier, now: at(0) }
     }
 
     fn state_of(&self, name: &str) -> Option<(Incarnation, Lifecycle)> {

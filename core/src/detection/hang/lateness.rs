@@ -11,6 +11,11 @@ const ROUNDS_LEAST: u64 = 10;
 /// Messages of one window whose sender did not wait any more: fewer are callers that changed their
 /// mind.
 const EXPIRED_LEAST: u64 = 3;
+/// Over how long, at least, rounds and expired requests are counted. Two such windows in a row must
+/// be bad. Shorter reports single delays; longer finds an overload later.
+pub(super) const WINDOW: Duration = Duration::from_secs(1);
+/// How long messages must have been late before that is an overload. Shorter reports single bursts.
+const DWELL: Duration = Duration::from_millis(500);
 /// Windows in a row that must be bad.
 const WINDOWS: u32 = 2;
 
@@ -82,7 +87,7 @@ impl Lateness {
         &mut self,
         limits: &HangLimits,
         reading: &ComponentSample,
-        (span, root): (Duration, Option<OverloadRoot>),
+        root: Option<OverloadRoot>,
         at @ (now, blind): (Instant, Duration),
     ) -> Option<Counts> {
         let next = Window::new(at, reading);
@@ -90,12 +95,8 @@ impl Lateness {
         let missed = next.missed_ticks.saturating_sub(window.missed_ticks);
         let due = missed + u64::from(next.ticks.wrapping_sub(window.ticks));
         let is_full = due >= ROUNDS_LEAST || reading.interval.is_zero();
-        if now - window.since >= span && is_full {
-            // Half of the limit where it was exceeded: a load near the limit is one overload.
-            let limit = match u64::from(limits.max_missed_percent) {
-                limit if limit < 100 && self.bad >= WINDOWS => limit / 2,
-                limit => limit,
-            };
+        if now - window.since >= WINDOW && is_full {
+            let limit = u64::from(limits.max_missed_percent);
             let rounds = due >= ROUNDS_LEAST && missed * 100 > due * limit;
             let expired = reading.expired.saturating_sub(window.expired);
             let messages = expired >= EXPIRED_LEAST && reading.allowance.is_zero();
@@ -112,19 +113,14 @@ impl Lateness {
         (self.bad >= WINDOWS).then_some(self.counts)
     }
 
-    /// How long messages may wait: half of the limit where some have waited for longer.
-    pub(super) fn max_delay(&self, limits: &HangLimits) -> Duration {
-        if self.delayed_since.is_some() { limits.max_delay / 2 } else { limits.max_delay }
-    }
-
     /// The queue holds messages back, or does not. Says whether it has for long enough.
-    pub(super) fn handle_delay(&mut self, delayed: bool, dwell: Duration, now: Instant) -> bool {
+    pub(super) fn handle_delay(&mut self, delayed: bool, now: Instant) -> bool {
         if !delayed {
             self.delayed_since = None;
             return false;
         }
         let since = *self.delayed_since.get_or_insert(now);
-        now - since >= dwell
+        now - since >= DWELL
     }
 }
 
@@ -144,18 +140,17 @@ pub(super) struct Episode {
     pub(super) victims: SortedSet<SlotId>,
     /// The worst of all its figures.
     pub(super) worst: OverloadFigures,
-    /// The worst of them when it was reported last, if it was.
-    reported: Option<OverloadFigures>,
+    is_reported: bool,
 }
 
 impl Episode {
     pub(super) fn new(now: Instant) -> Self {
         let worst = OverloadFigures::default();
-        Episode { latest: now, victims: SortedSet::new(), worst, reported: None }
+        Episode { latest: now, victims: SortedSet::new(), worst, is_reported: false }
     }
 
-    /// These are late too, or still. Returns whether the overload is to be reported: it is new, has
-    /// more victims, or one of its figures has doubled.
+    /// These are late too, or still. Returns whether the overload is to be reported: it is new, or
+    /// has more victims.
     pub(super) fn note(
         &mut self,
         victims: impl Iterator<Item = SlotId>,
@@ -166,24 +161,7 @@ impl Episode {
         self.latest = now;
         self.victims.extend(victims);
         self.worst = self.worst.worst(figures);
-        let is_news = self.victims.len() != known || self.has_doubled();
-        if is_news {
-            self.reported = Some(self.worst);
-        }
-        is_news
-    }
-
-    /// One of its figures is twice as bad as reported. Smaller changes are reported with the next,
-    /// and so is silence, which is a fault of its own: an overload that lasts is reported a few
-    /// times, and not at every look.
-    fn has_doubled(&self) -> bool {
-        let OverloadFigures { queued, oldest, missed_rounds, expired, .. } = self.worst;
-        let Some(reported) = &self.reported else { return true };
-        (oldest > reported.oldest && oldest >= 2 * reported.oldest)
-            || (queued > reported.queued && queued >= 2 * reported.queued)
-            || (missed_rounds > reported.missed_rounds
-                && missed_rounds >= 2 * reported.missed_rounds)
-            || (expired > reported.expired && expired >= 2 * reported.expired)
+        !std::mem::replace(&mut self.is_reported, true) || self.victims.len() != known
     }
 }
 

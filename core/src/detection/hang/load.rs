@@ -1,6 +1,6 @@
 //! Late components, and the component that occupies their thread.
 
-use super::lateness::{Counts, OverloadRoot};
+use super::lateness::{Counts, OverloadRoot, WINDOW};
 use super::{
     Arbiter, Around, ComponentEntry, ComponentRecord, Episode, HangDetector, Late, LivenessEvent,
     Looked, QueueReading, Silence, SlotId,
@@ -14,6 +14,9 @@ use std::time::Duration;
 /// A thread that is free less often than in one of five looks makes its components wait for each
 /// other.
 pub(super) const SATURATED: f32 = 0.8;
+/// How long nothing may be late before an overload is over. Shorter reports one that comes and goes
+/// as many: one good window among bad ones ends none.
+const RELIEF: Duration = Duration::from_secs(3);
 /// The interval of the usual looks, by which a span is turned into a number of them.
 pub(super) const LOOK: Duration = Duration::from_millis(10);
 
@@ -109,11 +112,10 @@ impl ComponentRecord {
     ) {
         let Some(reading) = self.reading else { return };
         let slot = around.slot;
-        let max_delay = self.lateness.max_delay(&self.judged.limits);
-        let window = around.config.window;
-        let root = if around.is_busy { around.kept_by(window) } else { None };
+        let max_delay = self.judged.limits.max_delay;
+        let root = if around.is_busy { around.kept_by(WINDOW) } else { None };
         let at = (now, around.missed);
-        let counts = self.lateness.handle_counts(&self.judged.limits, &reading, (window, root), at);
+        let counts = self.lateness.handle_counts(&self.judged.limits, &reading, root, at);
         // One that is silent does nothing, which is another fault.
         let counts = counts.filter(|_| self.silence != Silence::Reported);
         let looks = turned || reading.turn % 2 == 1 || around.is_busy;
@@ -126,7 +128,7 @@ impl ComponentRecord {
         // One that is asked is late too where its thread is free.
         let is_asked = self.judged.limits.max_unanswered.is_some();
         let delayed = waits && (root.is_some() || moves || (is_asked && !around.stands(now)));
-        let delayed = self.lateness.handle_delay(delayed, around.config.dwell, now);
+        let delayed = self.lateness.handle_delay(delayed, now);
         let root = if delayed { root } else { counts.and_then(|counts| counts.root) };
         if delayed || counts.is_some() {
             let Counts { missed, expired, .. } = counts.unwrap_or_default();
@@ -183,10 +185,9 @@ impl HangDetector {
     }
 
     fn blame_computer(&mut self, late: &[Late], now: Instant) {
-        let window = self.config.window;
         let homes =
             late.iter().filter_map(|late| self.arbiters.get(&self.judged(late.slot)?.arbiter));
-        let waited = homes.map(|home| home.processor.shares(window).1).fold(0.0, f32::max);
+        let waited = homes.map(|home| home.processor.shares(WINDOW).1).fold(0.0, f32::max);
         let episode = self.computer.get_or_insert_with(|| Episode::new(now));
         let victims = late.iter().map(|late| late.slot);
         if episode.note(victims, figures(late, QueueReading::default()), now) {
@@ -205,8 +206,7 @@ impl HangDetector {
     /// Overloads are over when nothing has been late because of them for long enough.
     pub(super) fn relieve(&mut self, now: Instant) {
         let mut free = Vec::new();
-        let relief = self.config.relief;
-        let is_over = |episode: &mut Episode| now - episode.latest >= relief;
+        let is_over = |episode: &mut Episode| now - episode.latest >= RELIEF;
         if let Some(episode) = self.computer.take_if(is_over) {
             self.outputs.push_back(LivenessEvent::Computer(NodeCondition::Relieved));
             free.extend(episode.victims);

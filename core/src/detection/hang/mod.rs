@@ -11,7 +11,7 @@
 //! victims. What a victim suffers is reported after its root. Where the thread itself waits for a
 //! processor, and runs for less than two thirds of the time, it is the computer that is overloaded:
 //! such a thread says nothing about its components. An overload stands until nothing was late
-//! because of it for a while, by half of the limits that it exceeded.
+//! because of it for a while.
 //!
 //! A handler that keeps its thread is charged the time for which the thread was run, where it is
 //! ready to run: all of it, however late the looks come, and nothing else. Everything else is
@@ -37,7 +37,7 @@ pub use self::types::{
 };
 
 use self::entry::ComponentEntry;
-use self::lateness::{Episode, Late, Lateness, OverloadRoot};
+use self::lateness::{Episode, Late, Lateness, OverloadRoot, WINDOW};
 use self::processor::ProcessorShare;
 use self::turn::ThreadTurn;
 use crate::detection::Finding;
@@ -46,6 +46,14 @@ use crate::{Instant, Machine, ObjectName};
 use occupancy::Occupancy;
 use std::collections::VecDeque;
 use std::time::Duration;
+
+/// A gap between two looks that is reported to others, so that they wait as much longer. Ten of the
+/// usual intervals.
+const STALL: Duration = Duration::from_millis(100);
+/// How long a beat may stand before the arbiter's components are not judged for awaiting too long,
+/// and not for silence where no component is on the thread. Several beats, and well below the
+/// shortest tolerance for silence.
+const TREATMENT_STOP: Duration = Duration::from_millis(50);
 
 #[derive(Debug)]
 struct Arbiter {
@@ -165,7 +173,7 @@ impl HangDetector {
         self.looked_at = Some(now);
         self.step = gap.min(self.config.gap);
         self.clock = self.clock + self.step;
-        if gap > self.config.stall {
+        if gap > STALL {
             self.outputs.push_back(LivenessEvent::Stalled { gap });
         }
     }
@@ -319,10 +327,9 @@ impl HangDetector {
     pub fn handle_activities(&mut self, looked: &impl Looked) {
         let (now, missed) = (self.clock, self.missed());
         self.judge_processors();
-        let HangDetector { config, arbiters, components, awake, outputs, .. } = self;
-        let is_busy = |arbiter: &Arbiter| {
-            arbiter.is_saturated(config.window) || arbiter.processor.is_scarce()
-        };
+        let HangDetector { arbiters, components, awake, outputs, .. } = self;
+        let is_busy =
+            |arbiter: &Arbiter| arbiter.is_saturated(WINDOW) || arbiter.processor.is_scarce();
         let kept = arbiters.iter().filter(|(_, arbiter)| is_busy(arbiter));
         let busy: Vec<ArbiterId> = kept.map(|(id, _)| *id).collect();
         let (mut late, mut silent) = (Vec::new(), Vec::new());
@@ -337,7 +344,7 @@ impl HangDetector {
                 continue;
             }
             let component = watched.wake(looked.activity(slot), (now, missed));
-            let around = Around { slot, arbiter: arbiters.get(&id), is_busy, config, missed };
+            let around = Around { slot, arbiter: arbiters.get(&id), is_busy, missed };
             component.handle(&around, looked, now, (outputs, &mut late, &mut silent));
             watched.settle(now);
             awake.push(slot);
@@ -355,7 +362,6 @@ struct Around<'a> {
     arbiter: Option<&'a Arbiter>,
     /// The arbiter has had no time to spare within the window, or gets no processor.
     is_busy: bool,
-    config: &'a HangDetectorConfig,
     /// How long the scanner has not been scheduled, all in all.
     missed: Duration,
 }
@@ -363,7 +369,7 @@ struct Around<'a> {
 impl Around<'_> {
     /// The arbiter's beat stands.
     fn stands(&self, now: Instant) -> bool {
-        self.arbiter.is_some_and(|arbiter| now - arbiter.beat_since > self.config.treatment_stop)
+        self.arbiter.is_some_and(|arbiter| now - arbiter.beat_since > TREATMENT_STOP)
     }
 
     /// The component is on the thread.

@@ -20,35 +20,11 @@ pub struct HangDetectorConfig {
     /// what is more is not counted. Two of the usual intervals: shorter delays judgement on a
     /// machine that is merely busy.
     pub gap: Duration,
-    /// A gap that is reported to others, so that they wait as much longer. Ten of the usual
-    /// intervals.
-    pub stall: Duration,
-    /// How long a beat may stand before the arbiter's components are not judged for awaiting too
-    /// long, and not for silence where no component is on the thread. Several beats, and well below
-    /// the shortest tolerance for silence.
-    pub treatment_stop: Duration,
-    /// How long messages must have been late before that is an overload. Shorter reports single
-    /// bursts.
-    pub dwell: Duration,
-    /// How long nothing may be late before an overload is over. Shorter reports one that comes and
-    /// goes as many: one good window among bad ones ends none.
-    pub relief: Duration,
-    /// Over how long, at least, rounds and expired requests are counted. Two such windows in a row
-    /// must be bad. Shorter reports single delays; longer finds an overload later.
-    pub window: Duration,
 }
 
 impl Default for HangDetectorConfig {
     fn default() -> Self {
-        HangDetectorConfig {
-            grace: Duration::from_millis(200),
-            gap: Duration::from_millis(20),
-            stall: Duration::from_millis(100),
-            treatment_stop: Duration::from_millis(50),
-            dwell: Duration::from_millis(500),
-            relief: Duration::from_secs(3),
-            window: Duration::from_secs(1),
-        }
+        HangDetectorConfig { grace: Duration::from_millis(200), gap: Duration::from_millis(20) }
     }
 }
 

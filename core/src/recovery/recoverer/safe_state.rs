@@ -4,26 +4,20 @@ use super::{FaultLocation, Recoverer, RecovererOutput, RecoveryOutcome};
 use crate::{Fault, FaultKind, Instant};
 
 /// Why faults of objects are not treated.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum TreatmentStop {
-    /// The node is in the safe state.
-    SafeState,
-    /// The node stops.
-    NodeEnds,
-}
+pub(super) type TreatmentStop = &'static str;
 
 impl Recoverer {
     /// The node has entered the safe state. Where everything was stopped nothing is treated:
     /// recovery that is in progress is given up, and faults that follow are too. Links and other
     /// nodes go on being treated.
     pub fn handle_rest(&mut self, now: Instant) {
-        self.stop_treatment(TreatmentStop::SafeState, now);
+        self.stop_treatment("the node is in the safe state, where nothing is restarted", now);
     }
 
     /// The node stops: from now on faults of its objects are recorded and not treated, as in the
     /// safe state.
     pub fn handle_node_end(&mut self, now: Instant) {
-        self.stop_treatment(TreatmentStop::NodeEnds, now);
+        self.stop_treatment("the node ends, and restarts nothing", now);
     }
 
     fn stop_treatment(&mut self, treatment_stop: TreatmentStop, now: Instant) {
@@ -60,10 +54,6 @@ impl Recoverer {
     }
 
     fn report_untreated(&mut self, fault: &Fault, treatment_stop: TreatmentStop) {
-        let reason = match treatment_stop {
-            TreatmentStop::SafeState => "the node is in the safe state, where nothing is restarted",
-            TreatmentStop::NodeEnds => "the node ends, and restarts nothing",
-        };
-        self.tell(fault, RecoveryOutcome::GaveUp { reason: reason.to_owned() });
+        self.tell(fault, RecoveryOutcome::GaveUp { reason: treatment_stop.to_owned() });
     }
 }

@@ -54,11 +54,11 @@ fn fails() -> Result<RecoveryDone, RecoveryFailed> {
 
 impl Rig {
     fn new() -> Self {
-        Rig::with(Plan::default(), RecovererLimits::default())
+        Rig::with(Plan::default())
     }
 
-    fn with(plan: Plan, limits: RecovererLimits) -> Self {
-        Rig { machine: Recoverer::new(node(), plan, limits, 7), now: Instant::from_millis(1000) }
+    fn with(plan: Plan) -> Self {
+        Rig { machine: Recoverer::new(node(), plan, 7), now: Instant::from_millis(1000) }
     }
 
     fn outputs(&mut self) -> Vec<String> {
@@ -208,7 +208,7 @@ fn a_step_that_is_refused_for_good_is_not_tried_again() {
     let patient = Ladder::first(RecoveryAction::Restart).times(5).backoff(backoff);
     let patient = patient.then(RecoveryAction::SafeStop);
     for plan in [Plan::default(), Plan::default().on(FaultKind::Panic, patient)] {
-        let mut rig = Rig::with(plan, RecovererLimits::default());
+        let mut rig = Rig::with(plan);
         rig.find(panic_of(1, "laser", 1));
         let refused = RecoveryFailed { reason: "too many".into(), is_final: true };
 
@@ -225,7 +225,7 @@ fn each_failed_step_is_reported_once_with_its_reason() {
     let ladder =
         Ladder::first(RecoveryAction::Custom("homing".into())).then(RecoveryAction::Restart);
     let plan = Plan::default().on(FaultKind::Panic, ladder);
-    let mut rig = Rig::with(plan, RecovererLimits::default());
+    let mut rig = Rig::with(plan);
     rig.find(panic_of(1, "laser", 1));
     let mut reasons = |number, reason: &str| {
         rig.machine.handle_outcome(number, Err(reason.into()), rig.now);
@@ -249,7 +249,7 @@ fn each_failed_step_is_reported_once_with_its_reason() {
 #[test]
 fn what_not_even_safe_stop_can_contain_is_the_nodes_to_end() {
     let plan = Plan::default().on(FaultKind::Panic, Ladder::first(RecoveryAction::Restart));
-    let mut rig = Rig::with(plan, RecovererLimits::default());
+    let mut rig = Rig::with(plan);
     rig.find(panic_of(1, "laser", 1));
 
     assert_eq!(
@@ -387,7 +387,7 @@ fn a_fault_that_clears_while_it_waits_is_dropped() {
 #[test]
 fn a_late_isolation_does_not_contain_the_next_incarnation() {
     let plan = Plan::default().on(FaultKind::Panic, Ladder::first(RecoveryAction::Isolate));
-    let mut rig = Rig::with(plan, RecovererLimits::default());
+    let mut rig = Rig::with(plan);
     assert_eq!(rig.find(panic_of(1, "arm", 1)), ["#1 isolate here:arm against panic, 1"]);
     rig.find(panic_of(2, "arm", 2));
 
@@ -429,7 +429,7 @@ fn faults_of_other_nodes_are_left_to_them_unless_the_plan_takes_over() {
 
     let take_over = Ladder::first(RecoveryAction::Custom(Arc::from("take over")));
     let plan = Plan::default().on_other_nodes(FaultKind::Panic, take_over);
-    let mut rig = Rig::with(plan, RecovererLimits::default());
+    let mut rig = Rig::with(plan);
     assert_eq!(
         rig.find(fault(1, FaultKind::Panic, there, 1)),
         ["#1 take over there:laser against panic, 1"]
@@ -440,7 +440,7 @@ fn faults_of_other_nodes_are_left_to_them_unless_the_plan_takes_over() {
 #[test]
 fn isolation_contains_and_does_not_recover() {
     let plan = Plan::default().on(FaultKind::CheckFailed, Ladder::first(RecoveryAction::Isolate));
-    let mut rig = Rig::with(plan, RecovererLimits::default());
+    let mut rig = Rig::with(plan);
     rig.find(fault(1, FaultKind::CheckFailed, at("gps"), 1));
 
     assert_eq!(
@@ -451,13 +451,29 @@ fn isolation_contains_and_does_not_recover() {
 
 #[test]
 fn more_places_than_it_can_treat_are_given_up_loudly() {
-    let limits = RecovererLimits { cases: 1, symptoms: 0, ..RecovererLimits::default() };
-    let mut rig = Rig::with(Plan::default(), limits);
-    rig.find(panic_of(1, "laser", 1));
+    let mut rig = Rig::new();
+    for id in 1..=CASES_MAX as u64 {
+        rig.find(panic_of(id, &format!("laser{id}"), 1));
+    }
 
-    assert_eq!(rig.find(panic_of(2, "arm", 1)), ["2 given up: 1 places are being treated already"]);
-    assert_eq!(rig.find(symptom(3, "laser", 1)), [""; 0]);
-    assert_eq!(rig.outcome(1, works(2)), ["1 recovered", "3 recovered"]);
+    assert_eq!(
+        rig.find(panic_of(5000, "arm", 1)),
+        ["5000 given up: 4096 places are being treated already"]
+    );
+    assert_eq!(rig.outcome(1, works(2)), ["1 recovered"]);
+    assert_eq!(rig.find(panic_of(5001, "arm", 1)).len(), 1, "there is a place for it");
+}
+
+#[test]
+fn a_symptom_more_than_may_wait_is_acted_upon_at_once() {
+    let mut rig = Rig::new();
+    rig.find(panic_of(1, "laser", 1));
+    for id in 2..2 + SYMPTOMS_MAX as u64 {
+        assert_eq!(rig.find(symptom(id, &format!("arm{id}"), 1)), [""; 0]);
+    }
+
+    assert_eq!(rig.find(symptom(5000, "laser", 1)), [""; 0], "the attempt is for it too");
+    assert_eq!(rig.outcome(1, works(2)), ["1 recovered", "5000 recovered"]);
 }
 
 #[test]
@@ -466,7 +482,7 @@ fn a_place_with_too_many_faults_gives_the_further_ones_up() {
     let ids = 1..=FAULTS_LIMIT as u64;
     let rest = |plan: Plan, id| plan.on(kind(id), Ladder::first(RecoveryAction::SafeStop));
     let plan = ids.clone().fold(Plan::default(), rest);
-    let mut rig = Rig::with(plan, RecovererLimits::default());
+    let mut rig = Rig::with(plan);
     for id in ids {
         rig.find(fault(id, kind(id), at("arm"), 1));
     }
@@ -492,7 +508,7 @@ fn a_custom_strategy_is_called_by_name_and_not_for_ever() {
     let ladder =
         Ladder::first(RecoveryAction::Custom("homing".into())).backoff(Backoff::NONE).times(2);
     let plan = Plan::default().on(FaultKind::CheckFailed, ladder);
-    let mut rig = Rig::with(plan, RecovererLimits::default());
+    let mut rig = Rig::with(plan);
     let check = |id| fault(id, FaultKind::CheckFailed, at("arm"), 1);
 
     assert_eq!(rig.find(check(1)), ["#1 homing here:arm against check failed, 1"]);

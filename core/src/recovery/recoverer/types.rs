@@ -76,29 +76,14 @@ pub enum RecovererOutput {
     },
 }
 
-/// The recoverer's bounds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct RecovererLimits {
-    /// Open cases. More places than this at once, and further ones are given up loudly; as many as
-    /// a large node has objects.
-    pub cases: usize,
-    /// Symptoms that wait for their roots. More, and a symptom is acted upon at once.
-    pub symptoms: usize,
-    /// From the root's recovery to acting upon a symptom that was not cleared. Longer leaves
-    /// victims more time to come back by themselves.
-    pub grace: Duration,
-    /// A fault that returns within this time after a reset, or a strategy of the application's own,
-    /// had cured it is not treated from the beginning but goes on up its ladder.
-    pub memory: Duration,
-}
-
-impl Default for RecovererLimits {
-    fn default() -> Self {
-        RecovererLimits {
-            cases: 4096,
-            symptoms: 4096,
-            grace: Duration::from_millis(200),
-            memory: Duration::from_secs(10),
-        }
-    }
-}
+/// Open cases. More places than this at once, and further ones are given up loudly; as many as a
+/// large node has objects.
+pub const CASES_MAX: usize = 4096;
+/// Symptoms that wait for their roots. More, and a symptom is acted upon at once.
+pub(super) const SYMPTOMS_MAX: usize = 4096;
+/// From the root's recovery to acting upon a symptom that was not cleared. Longer leaves victims
+/// more time to come back by themselves.
+pub(super) const GRACE: Duration = Duration::from_millis(200);
+/// A fault that returns within this time after a reset, or a strategy of the application's own, had
+/// cured it is not treated from the beginning but goes on up its ladder.
+pub(super) const MEMORY: Duration = Duration::from_secs(10);

@@ -2,7 +2,7 @@
 
 use super::child::ChildKey;
 use crate::recovery::SupervisorRules;
-use crate::sorted::{SortedMap, SortedSet};
+use crate::sorted::SortedMap;
 use crate::{Instant, SlidingWindow};
 use std::time::Duration;
 
@@ -15,15 +15,13 @@ pub(super) struct Budget {
     /// By child; under a shared count, all under one key. A child that was never restarted has
     /// none.
     windows: SortedMap<ChildKey, SlidingWindow>,
-    /// The counts that are exhausted until their windows move.
-    spent: SortedSet<ChildKey>,
 }
 
 impl Budget {
     pub(super) fn new(rules: &SupervisorRules) -> Self {
         let (intensity, period) = (rules.intensity, rules.period);
         let shared = rules.counts_together();
-        Budget { intensity, period, shared, windows: SortedMap::new(), spent: SortedSet::new() }
+        Budget { intensity, period, shared, windows: SortedMap::new() }
     }
 
     /// Where a child's restarts are counted.
@@ -40,14 +38,7 @@ impl Budget {
     pub(super) fn add(&mut self, child: ChildKey, now: Instant) -> bool {
         let of = self.of(child);
         let window = self.windows.entry(of);
-        let window = window.or_insert_with(|| SlidingWindow::new(self.intensity, self.period));
-        if !window.add((), now) {
-            return false;
-        }
-        if window.left(now) == 0 {
-            self.spent.insert(of);
-        }
-        true
+        window.or_insert_with(|| SlidingWindow::new(self.intensity, self.period)).add((), now)
     }
 
     /// How many more restarts of a child are within the intensity.
@@ -61,37 +52,13 @@ impl Budget {
         left.min().unwrap_or(self.intensity)
     }
 
-    /// When the next exhausted count allows a restart again.
-    pub(super) fn next_release(&self) -> Option<Instant> {
-        let spent = self.spent.iter().filter_map(|of| self.windows.get(of));
-        spent.filter_map(SlidingWindow::next_release).min()
-    }
-
-    /// Moves the windows; says which of the exhausted counts allow restarts again.
-    pub(super) fn release(&mut self, now: Instant) -> SortedSet<ChildKey> {
-        let moved = |of: &ChildKey| self.windows.get(of).is_none_or(|window| window.left(now) > 0);
-        let (released, spent) = std::mem::take(&mut self.spent).into_iter().partition(moved);
-        self.spent = spent;
-        for window in self.windows.values_mut() {
-            window.forget(now);
-        }
-        released
-    }
-
     /// The child is no more.
     pub(super) fn forget(&mut self, child: ChildKey) {
         self.windows.remove(&child);
-        self.spent.remove(&child);
-    }
-
-    /// Nothing is waited for: an incarnation of the supervisor ends.
-    pub(super) fn settle(&mut self) {
-        self.spent.clear();
     }
 
     /// An incarnation of the supervisor begins, with everything allowed.
     pub(super) fn clear(&mut self) {
         self.windows.clear();
-        self.spent.clear();
     }
 }

@@ -2,7 +2,7 @@
 
 use super::CallId;
 use crate::recovery::{ChildRules, Restart};
-use crate::{Fault, FaultKind, Incarnation, Instant, ObjectName, SlidingWindow};
+use crate::{Fault, FaultKind, Incarnation, Instant, ObjectName};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
@@ -140,11 +140,8 @@ pub(super) struct SupervisedChild {
     pub(super) worked: bool,
     pub(super) restarts: u64,
     pub(super) isolated: bool,
-    /// Its guard holds a standing order.
-    pub(super) ordered: bool,
-    /// When its guard restarted it by itself, as far back as it counts; never more than the
-    /// intensity allows, and one. There only where it has.
-    pub(super) on_the_spot: Option<Box<SlidingWindow>>,
+    /// Its guard may restart it by itself, once.
+    pub(super) granted: bool,
 }
 
 impl SupervisedChild {
@@ -160,8 +157,7 @@ impl SupervisedChild {
             worked: false,
             restarts: 0,
             isolated: false,
-            ordered: false,
-            on_the_spot: None,
+            granted: false,
         }
     }
 

@@ -29,7 +29,6 @@ mod child;
 mod steps;
 #[cfg(test)]
 mod tests;
-mod timers;
 mod types;
 
 pub use child::{ChildState, ChildStatus, ReplacementCause};
@@ -37,7 +36,6 @@ pub use types::{CallId, ChildOrder, GiveUpReason, SupervisorOutput};
 
 use super::{ChildRules, Strategy, SupervisorRules};
 use crate::sorted::{SortedMap, SortedSet};
-use crate::timer::Timers;
 use crate::{Incarnation, Instant, Machine, ObjectName};
 use budget::Budget;
 use child::{ChildKey, ChildPhase, ChildTarget, SupervisedChild};
@@ -53,14 +51,8 @@ enum Phase {
     Idle,
     Starting,
     Serving,
-    /// Its parent is about to end this incarnation.
-    Leaving,
-    Ending {
-        escalation: Option<String>,
-    },
-    Escalated {
-        reason: String,
-    },
+    Ending { escalation: Option<String> },
+    Escalated { reason: String },
 }
 
 #[derive(Clone, Debug)]
@@ -204,19 +196,6 @@ impl Supervisor {
         self.advance(now);
     }
 
-    /// The incarnation is about to end, with others that are stopped before it: nothing is started
-    /// any more.
-    pub fn handle_end_expected(&mut self, now: Instant) {
-        if self.at_work() {
-            self.phase = Phase::Leaving;
-            self.withdraw_all();
-            self.undo_additions(now);
-            let living: Vec<ChildKey> = self.living().collect();
-            self.announce_stops(living);
-            self.settle();
-        }
-    }
-
     /// Ends the incarnation: every child is stopped in reverse order.
     pub fn handle_end(&mut self, now: Instant) {
         self.end(None, now);
@@ -271,7 +250,7 @@ impl Supervisor {
         match &self.phase {
             Phase::Starting | Phase::Serving => {}
             // What becomes of it shows in the supervisor's next incarnation, if there is one.
-            Phase::Leaving | Phase::Ending { .. } | Phase::Escalated { .. } if faulty.is_some() => {
+            Phase::Ending { .. } | Phase::Escalated { .. } if faulty.is_some() => {
                 let child = self.kept(key);
                 child.failed = None;
                 let present = child.is_alive() && faulty >= Some(child.incarnation);
@@ -281,7 +260,6 @@ impl Supervisor {
                 }
                 return self.advance(now);
             }
-            Phase::Leaving => return self.settle(),
             Phase::Idle | Phase::Ending { .. } | Phase::Escalated { .. } => {
                 return self.refuse(call, GiveUpReason::NotAtWork);
             }
@@ -518,8 +496,8 @@ impl Supervisor {
         self.advance(now);
     }
 
-    /// The child's incarnation ended unasked. With `restarted_as`, its guard has
-    /// carried out its standing order, and the restart is counted here.
+    /// The child's incarnation ended unasked. With `restarted_as`, its guard has used its grant,
+    /// and the restart is counted here.
     pub fn handle_died(
         &mut self,
         name: &ObjectName,
@@ -568,29 +546,26 @@ impl Supervisor {
     pub fn handle_own_restart(&mut self, now: Instant) {
         self.outputs.clear();
         self.pending.clear();
-        let going = std::mem::take(&mut self.going);
+        self.going.clear();
         let living: Vec<ChildKey> = self.living().collect();
         // Who has added them is not told, and removes them.
         self.children.values_mut().for_each(|child| child.joins = false);
         for key in living {
-            let foretold = going.contains(&key) && self.kept(key).rules.supervises;
             let (state, in_group) = (self.kept(key).state, self.coming.contains(&key));
             match state {
-                ChildPhase::Running if !foretold => {
+                ChildPhase::Running => {
                     self.coming.remove(&key);
                 }
                 ChildPhase::Resetting { .. } if !in_group => {
                     self.set_state(key, ChildPhase::Running);
                 }
-                ChildPhase::Unavailable if !foretold => {}
+                ChildPhase::Unavailable => {}
                 ChildPhase::Starting { .. }
                 | ChildPhase::Failing { .. }
                 | ChildPhase::Stopping { .. }
                 | ChildPhase::Down
-                | ChildPhase::Running
                 | ChildPhase::AwaitsReset { .. }
-                | ChildPhase::Resetting { .. }
-                | ChildPhase::Unavailable => {
+                | ChildPhase::Resetting { .. } => {
                     self.abandon(key);
                     if self.at_work() && self.kept(key).goal == ChildTarget::Run {
                         self.coming.insert(key);
@@ -614,11 +589,15 @@ impl Machine for Supervisor {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        self.next_due()
+        self.timed.iter().filter_map(|key| self.children[key].due()).min()
     }
 
+    /// Gives up what children were asked to do and have not done in their time: to start, to end,
+    /// to be reset.
     fn handle_timeout(&mut self, now: Instant) {
-        self.fire_due(now);
+        let is_due = |key: &&ChildKey| self.children[*key].due().is_some_and(|due| due <= now);
+        let overdue: Vec<ChildKey> = self.timed.iter().filter(is_due).copied().collect();
+        overdue.into_iter().for_each(|key| self.handle_overdue(key, now));
         self.advance(now);
     }
 }

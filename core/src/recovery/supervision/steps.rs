@@ -4,8 +4,8 @@ use super::child::{ChildKey, ChildPhase, ChildTarget, ReplacementCause, Supervis
 use super::{
     CallId, ChildOrder, GiveUpReason, PENDING_LIMIT, Pending, Phase, Supervisor, SupervisorOutput,
 };
-use crate::recovery::{Restart, RestartGrant, Strategy};
-use crate::{Incarnation, Instant, ObjectName, SlidingWindow};
+use crate::recovery::{Restart, Strategy};
+use crate::{Incarnation, Instant, ObjectName};
 
 impl Supervisor {
     /// Takes the next step that is possible, and answers the requests that are decided.
@@ -131,10 +131,8 @@ impl Supervisor {
                         self.going.is_empty() && (self.coming.is_empty() || self.is_held_up())
                     }
                 };
-                // One that ends with its supervisor is at work again when that is.
-                let stays = self.phase != Phase::Leaving;
                 let up = matches!(child.state, ChildPhase::Running | ChildPhase::Unavailable);
-                (up && whole && stays).then_some(Ok(Some(child.incarnation)))
+                (up && whole).then_some(Ok(Some(child.incarnation)))
             }
         }
     }
@@ -246,18 +244,7 @@ impl Supervisor {
             }
         }
         finished.into_iter().for_each(|key| self.order(key, ChildOrder::Retire));
-        self.going.extend(going.iter().copied());
-        self.announce_stops(going);
-    }
-
-    /// These are going to be stopped, each when those behind it have ended: until then a supervisor
-    /// among them begins nothing that would have to be stopped again.
-    pub(super) fn announce_stops(&mut self, going: Vec<ChildKey>) {
-        for key in going {
-            if self.children[&key].rules.supervises {
-                self.order(key, ChildOrder::ExpectEnd);
-            }
-        }
+        self.going.extend(going);
     }
 
     /// Ends a child for good, or until it is started again on request.
@@ -442,8 +429,6 @@ impl Supervisor {
         }
         child.incarnation = child.incarnation.next();
         child.worked = false;
-        // A new guard begins to count.
-        child.on_the_spot = None;
         let (name, incarnation) = (child.name.clone(), child.incarnation);
         self.await_start(key, now);
         self.outputs.push_back(SupervisorOutput::Start { child: name, incarnation });
@@ -463,7 +448,7 @@ impl Supervisor {
         let wanted = child.goal == ChildTarget::Run;
         let again = wanted
             && match &self.phase {
-                Phase::Starting | Phase::Serving | Phase::Leaving => true,
+                Phase::Starting | Phase::Serving => true,
                 // The parent restarts it, unless there is none.
                 Phase::Ending { escalation: Some(_) } => !self.rules.root,
                 Phase::Ending { escalation: None } | Phase::Idle | Phase::Escalated { .. } => false,
@@ -529,17 +514,14 @@ impl Supervisor {
     }
 
     pub(super) fn restarted_on_the_spot(&mut self, key: ChildKey, next: Incarnation, now: Instant) {
-        let (counted, period) = (self.rules.intensity.saturating_add(1), self.rules.period);
         let child = self.kept(key);
-        child.incarnation = next;
+        (child.incarnation, child.granted) = (next, false);
         child.restarts += 1;
-        let window = || Box::new(SlidingWindow::new(counted, period));
-        child.on_the_spot.get_or_insert_with(window).add((), now);
         if !matches!(child.state, ChildPhase::Down | ChildPhase::Stopping { .. }) {
             self.await_start(key, now);
         }
-        if self.at_work() && self.count_restart(key, ReplacementCause::Died, now) {
-            self.grant(key, now);
+        if self.at_work() {
+            self.count_restart(key, ReplacementCause::Died, now);
         }
     }
 
@@ -548,9 +530,7 @@ impl Supervisor {
         self.coming.clear();
         self.undo_additions(now);
         self.withdraw_all();
-        self.budget.settle();
         self.going = self.living().collect();
-        self.announce_stops(self.going.iter().copied().collect());
         for child in self.children.values_mut() {
             child.failed = None;
         }
@@ -571,9 +551,9 @@ impl Supervisor {
         }
     }
 
-    /// Leaves what remains of the budget with a child's guard, where the rules allow it.
+    /// Lets a child's guard restart it once by itself, where the rules and the budget allow it.
     pub(super) fn grant(&mut self, key: ChildKey, now: Instant) {
-        let (left, period) = (self.budget.left(key, now), self.rules.period);
+        let left = self.budget.left(key, now);
         let allowed = self.at_work() && self.rules.strategy == Strategy::OneForOne && left > 0;
         let going = self.going.contains(&key);
         let child = self.kept(key);
@@ -581,19 +561,18 @@ impl Supervisor {
             && child.rules.on_the_spot
             && child.rules.restart != Restart::Temporary
             && !child.isolated
+            && !child.granted
             && !going;
         if allowed && willing {
-            child.ordered = true;
-            let recent = child.on_the_spot.as_ref().map_or(0, |window| window.recent(now));
-            let times = left.saturating_add(recent);
-            self.order(key, ChildOrder::RestartGrant(Some(RestartGrant { times, period })));
+            child.granted = true;
+            self.order(key, ChildOrder::GrantRestart(true));
         }
     }
 
     fn withdraw(&mut self, key: ChildKey) {
         let child = self.kept(key);
-        if std::mem::take(&mut child.ordered) {
-            self.order(key, ChildOrder::RestartGrant(None));
+        if std::mem::take(&mut child.granted) {
+            self.order(key, ChildOrder::GrantRestart(false));
         }
     }
 

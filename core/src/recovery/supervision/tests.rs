@@ -77,17 +77,14 @@ impl Rig {
                 }
                 SupervisorOutput::Order { child, order } => match order {
                     ChildOrder::Stop { .. } => format!("stop {child}"),
-                    ChildOrder::ExpectEnd => format!("announce_stops {child}"),
                     ChildOrder::Retire => format!("retire {child}"),
                     ChildOrder::Abandon => format!("abandon {child}"),
                     ChildOrder::CutOff => format!("cut off {child}"),
                     ChildOrder::Reset => format!("reset {child}"),
                     ChildOrder::Isolate(true) => format!("isolate {child}"),
                     ChildOrder::Isolate(false) => format!("admit {child}"),
-                    ChildOrder::RestartGrant(Some(grant)) => {
-                        format!("order {child} x{}", grant.times)
-                    }
-                    ChildOrder::RestartGrant(None) => format!("withdraw {child}"),
+                    ChildOrder::GrantRestart(true) => format!("grant {child}"),
+                    ChildOrder::GrantRestart(false) => format!("withdraw {child}"),
                 },
                 SupervisorOutput::Recovered { call, child, incarnation: Some(incarnation) } => {
                     format!("{} recovered {child} {incarnation}", call.0)

@@ -1,6 +1,5 @@
 //! What a supervisor is asked, what it wants done, and why it did not do something.
 
-use crate::recovery::RestartGrant;
 use crate::{Incarnation, ObjectName};
 use std::time::Duration;
 
@@ -82,9 +81,6 @@ pub enum ChildOrder {
         /// Another incarnation is to follow, so that what waits for the child goes on waiting.
         again: bool,
     },
-    /// The present incarnation is about to be asked to end, after others: a supervisor starts
-    /// nothing any more. No answer.
-    ExpectEnd,
     /// The child has no incarnation that works, and none is to follow: give back what waits for it,
     /// and give one up whose start has failed, with its last hooks. No answer. The next start takes
     /// the child up again.
@@ -100,8 +96,8 @@ pub enum ChildOrder {
     Reset,
     /// Forbid sending and receiving, or allow it again.
     Isolate(bool),
-    /// Leave a decision with the child's guard, or withdraw it.
-    RestartGrant(Option<RestartGrant>),
+    /// The child's guard may restart it once by itself after a panic, or no longer.
+    GrantRestart(bool),
 }
 
 /// An output of a supervisor.

@@ -45,7 +45,7 @@ fn a_fault_that_outlives_the_one_before_it_begins_at_its_own_first_attempt() {
     let homing = RecoveryAction::Custom("homing".into());
     let plan = Plan::default().on(FaultKind::CheckFailed, Ladder::first(homing).times(3));
     for clears_while_waiting in [true, false] {
-        let mut rig = Rig::with(plan.clone(), RecovererLimits::default());
+        let mut rig = Rig::with(plan.clone());
         rig.find(fault(1, FaultKind::CheckFailed, at("arm"), 1));
         rig.find(fault(2, FaultKind::ErrorState, at("arm"), 1));
         let treated = if clears_while_waiting {

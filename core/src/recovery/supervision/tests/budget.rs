@@ -68,22 +68,20 @@ fn a_supervisor_below_that_escalates_is_restarted_without_being_asked() {
 }
 
 #[test]
-fn a_standing_order_draws_from_the_budget_and_returns_as_the_window_moves() {
+fn a_grant_draws_from_the_budget_and_is_given_again_when_the_child_has_started() {
     let children = ["a", "b"].map(|child| (child, on_the_spot()));
     let mut rig = Rig::with(Strategy::OneForOne, 2, &children);
     rig.begin();
-    assert_eq!(rig.started("a", 1), ["order a x2", "start b #1"]);
-    assert_eq!(rig.started("b", 1), ["order b x2", "all started"]);
+    assert_eq!(rig.started("a", 1), ["grant a", "start b #1"]);
+    assert_eq!(rig.started("b", 1), ["grant b", "all started"]);
 
     assert_eq!(rig.died_on_the_spot("a", 1), [""; 0]);
-    assert_eq!(rig.started("a", 2), ["order a x2"]);
-    assert_eq!(rig.died_on_the_spot("a", 1), [""; 0]);
-    rig.pass(30);
-    assert_eq!(rig.died_on_the_spot("b", 1), ["withdraw a", "withdraw b"]);
-    assert_eq!(rig.started("b", 2), [""; 0]);
-    assert_eq!(rig.pass(30), [""; 0]);
-    rig.now = rig.machine.poll_timeout().expect("it waits for the window to move");
-    assert_eq!(rig.pass(0), ["order a x1", "order b x2"]);
+    assert_eq!(rig.started("a", 2), ["grant a"]);
+    assert_eq!(rig.died_on_the_spot("b", 1), ["withdraw a"]);
+    assert_eq!(rig.started("b", 2), [""; 0], "the budget is used up");
+    rig.pass(61);
+    assert_eq!(rig.restart("b", ReplacementCause::Died, 2), ["start b #3"]);
+    assert_eq!(rig.started("b", 3), ["grant b", "1 recovered b #3"]);
     assert_eq!(rig.machine.poll_timeout(), None);
 }
 
@@ -96,32 +94,32 @@ fn a_restart_on_the_spot_has_recovered_the_child_when_it_is_active() {
     assert_eq!(rig.died_on_the_spot("a", 1), [""; 0]);
     assert_eq!(rig.restart("a", ReplacementCause::Died, 1), [""; 0], "it has not started yet");
     assert_eq!(rig.state("a"), ChildState::Starting);
-    assert_eq!(rig.died_on_the_spot("a", 2), [""; 0], "its guard goes on");
-    assert_eq!(rig.started("a", 2), [""; 0]);
-
-    assert_eq!(rig.started("a", 3), ["order a x3", "1 recovered a #3"]);
+    assert_eq!(rig.started("a", 2), ["grant a", "1 recovered a #2"]);
 }
 
 #[test]
-fn restarts_on_the_spot_beyond_the_budget_escalate() {
+fn a_panic_before_the_next_grant_is_answered_as_any_other_fault() {
     let mut rig = Rig::with(Strategy::OneForOne, 1, &[("a", on_the_spot())]);
     rig.begin();
     rig.started("a", 1);
 
-    assert_eq!(rig.died_on_the_spot("a", 1), ["withdraw a"]);
-    assert_eq!(rig.died_on_the_spot("a", 2), ["stop a"]);
-    assert_eq!(rig.stopped("a", 3), ["escalate: a needed more than 1 restarts in 60s: it died"]);
+    assert_eq!(rig.died_on_the_spot("a", 1), [""; 0]);
+    assert_eq!(rig.died("a", 2), [""; 0]);
+    assert_eq!(
+        rig.restart("a", ReplacementCause::Died, 2),
+        ["escalate: a needed more than 1 restarts in 60s: it died"]
+    );
 }
 
 #[test]
-fn a_standing_order_is_given_only_where_the_rules_allow_it() {
+fn a_grant_is_given_only_where_the_rules_allow_it() {
     let given = |strategy, rules| {
         let mut rig = Rig::with(strategy, 3, &[("a", rules)]);
         rig.begin();
         rig.started("a", 1)
     };
 
-    assert_eq!(given(Strategy::OneForOne, on_the_spot()), ["order a x3", "all started"]);
+    assert_eq!(given(Strategy::OneForOne, on_the_spot()), ["grant a", "all started"]);
     assert_eq!(given(Strategy::OneForAll, on_the_spot()), ["all started"]);
     assert_eq!(given(Strategy::RestForOne, on_the_spot()), ["all started"]);
     assert_eq!(given(Strategy::OneForOne, permanent()), ["all started"]);
@@ -130,13 +128,13 @@ fn a_standing_order_is_given_only_where_the_rules_allow_it() {
 }
 
 #[test]
-fn a_standing_order_is_withdrawn_before_a_stop_and_while_isolated() {
+fn a_grant_is_withdrawn_before_a_stop_and_while_isolated() {
     let mut rig = Rig::with(Strategy::OneForOne, 3, &[("a", on_the_spot())]);
     rig.begin();
     rig.started("a", 1);
 
     assert_eq!(rig.isolate("a", true), ["isolate a", "withdraw a", "1 recovered a #1"]);
-    assert_eq!(rig.isolate("a", false), ["admit a", "order a x3", "2 recovered a #1"]);
+    assert_eq!(rig.isolate("a", false), ["admit a", "grant a", "2 recovered a #1"]);
     assert_eq!(rig.end(), ["withdraw a", "stop a"]);
 }
 
