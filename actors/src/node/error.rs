@@ -90,15 +90,6 @@ pub enum StartError {
     #[cfg(feature = "network")]
     #[error("{0}")]
     Network(String),
-    /// The file of the networks, or what overrides it, is wrong.
-    #[cfg(feature = "network")]
-    #[error("networks{}: {reason}", of_file(.file.as_ref()))]
-    NetworkFile {
-        /// The file, where there is one.
-        file: Option<PathBuf>,
-        /// What is wrong, where, and what to write.
-        reason: String,
-    },
     /// The keys of the node cannot be used: the file of its key or the roster beside it is missing,
     /// wrong, another's, or open to others.
     #[cfg(feature = "network")]

@@ -25,7 +25,7 @@ pub(super) struct Beacons {
 impl Network {
     /// The socket of its beacons, if it has some.
     pub(super) fn beacon_socket(&self) -> Result<Option<Beacons>, StartError> {
-        let Some(group) = &self.settings.beacons else { return Ok(None) };
+        let Some(group) = &self.beacons else { return Ok(None) };
         let wrong = |what| Err(StartError::Network(format!("network {}: {what}", self.name)));
         #[cfg(feature = "ip")]
         if let Medium::At(Endpoint::Udp(UdpConfig { group: Some(_), .. })) = &self.medium {

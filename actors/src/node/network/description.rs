@@ -2,7 +2,6 @@
 
 use super::Network;
 use super::checks::{check_files, check_networks};
-use super::file::NetworkFile;
 use super::hosts::Hosts;
 use super::services::{check_service, check_service_order};
 use crate::net::keys::{KeysPermissions, NodeKeys};
@@ -22,7 +21,6 @@ use tracing::warn;
 /// The networks of a node, and what it does by way of them.
 pub(in crate::node) struct NetworkDescription {
     pub(in crate::node) networks: Vec<Network>,
-    pub(in crate::node) file: NetworkFile,
     pub(in crate::node) hosts: Hosts,
     pub(in crate::node) services: Vec<Result<Carried, ServiceSpecError>>,
     pub(in crate::node) session_timeout: Duration,
@@ -42,7 +40,6 @@ impl Default for NetworkDescription {
     fn default() -> Self {
         NetworkDescription {
             networks: Vec::new(),
-            file: NetworkFile::default(),
             hosts: Hosts::LookedUp,
             services: Vec::new(),
             session_timeout: SESSION_TIMEOUT.default,
@@ -58,7 +55,6 @@ impl NetworkDescription {
     /// Reads the keys, and finds what can be known to be wrong before anything is started.
     pub(in crate::node) fn check(&mut self, node: &NodeName) -> Result<(), Vec<StartError>> {
         SESSION_TIMEOUT.check(self.session_timeout).map_err(StartError::from)?;
-        self.read_file()?;
         self.networks.iter_mut().try_for_each(|network| self.hosts.resolve(network))?;
         self.read_keys(node)?;
         self.check_away(node)?;
@@ -132,9 +128,9 @@ impl NetworkDescription {
             };
             return Err(StartError::Network(format!("{name} may be away, as is described: {why}")));
         }
-        let links = self.networks.iter_mut().flat_map(|network| &mut network.settings.links);
+        let links = self.networks.iter_mut().flat_map(|network| &mut network.links);
         for link in links.filter(|link| self.may_be_away.contains(&link.neighbour)) {
-            link.settings.expected_within = Some(Duration::MAX);
+            link.expected_within = Duration::MAX;
         }
         Ok(())
     }
@@ -143,16 +139,6 @@ impl NetworkDescription {
     pub(in crate::node) fn begin_incarnation(&self) -> Incarnation {
         let keys = self.keys.as_ref();
         keys.map_or_else(platform::node_incarnation, |keys| keys.begin_incarnation())
-    }
-
-    /// What the file describes counts as what is described in code.
-    fn read_file(&mut self) -> Result<(), StartError> {
-        let Some(mut described) = self.file.read()? else { return Ok(()) };
-        self.key_file = self.key_file.take().or(described.keys.take());
-        self.keys_permissions = described.keys_permissions.unwrap_or(self.keys_permissions);
-        self.may_be_away.append(&mut described.may_be_away);
-        self.networks.extend(described.into_networks());
-        Ok(())
     }
 
     fn read_keys(&mut self, node: &NodeName) -> Result<(), StartError> {

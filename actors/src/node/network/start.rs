@@ -1,6 +1,6 @@
 //! Starts the transports of a network that was described.
 
-use super::{Admitted, Cable, Link, Medium, Network, Remote};
+use super::{Admitted, Cable, Link, Medium, Network};
 #[cfg(feature = "serial")]
 use crate::net::keys::SealTerms;
 use crate::net::{DiscoverySpec, LinkSpec, NetworkSpec};
@@ -34,17 +34,12 @@ const REFUSED: &str = "a wrong endpoint is refused before the start";
 
 impl Medium {
     /// The address of a neighbour as this medium has it.
-    fn remote(&self, remote: &Remote) -> Result<MediumAddress, EndpointError> {
-        match (remote, self) {
-            (Remote::At(address), _) => Ok(address.clone()),
-            (Remote::Written(text), Medium::At(endpoint)) => endpoint.peer(text),
-            (Remote::Written(_), Medium::Unreadable(error)) => unreachable!("{REFUSED}: {error}"),
-            (Remote::Written(text), Medium::Own { .. }) if text.is_empty() => {
-                Ok(MediumAddress::Line)
-            }
-            (Remote::Written(text), Medium::Own { .. }) => {
-                Ok(MediumAddress::Own(text.as_str().into()))
-            }
+    fn remote(&self, address: &str) -> Result<MediumAddress, EndpointError> {
+        match self {
+            Medium::At(endpoint) => endpoint.peer(address),
+            Medium::Unreadable(error) => unreachable!("{REFUSED}: {error}"),
+            Medium::Own { .. } if address.is_empty() => Ok(MediumAddress::Line),
+            Medium::Own { .. } => Ok(MediumAddress::Own(address.into())),
         }
     }
 
@@ -181,18 +176,17 @@ impl Network {
         let spec = |link: &Link| {
             let of = format!("the name of a neighbour on network {}", self.name);
             let neighbour = NodeName::new(&link.neighbour).map_err(StartError::name_of(of))?;
-            let [hello_interval, expected_within] = link.times();
-            let remote = self.medium.remote(&link.settings.address);
+            let remote = self.medium.remote(&link.address);
             Ok(LinkSpec {
                 name: self.link_name(link).into(),
                 remote: remote.map_err(|error| self.endpoint_error(Some(&neighbour), error))?,
                 neighbour: Some(neighbour),
-                cost: link.settings.cost,
-                hello_interval,
-                expected_within,
+                cost: link.cost,
+                hello_interval: link.hello_every,
+                expected_within: link.expected_within,
             })
         };
-        self.settings.links.iter().map(spec).collect()
+        self.links.iter().map(spec).collect()
     }
 
     /// An address is wrong: our own, or that of a neighbour.
@@ -208,17 +202,17 @@ impl Network {
     /// Who is admitted, but for those that are described.
     pub(super) fn admission(&self) -> Result<Option<DiscoveryAdmission>, StartError> {
         let name = &self.name;
-        match &self.settings.discover {
-            None if self.settings.beacons.is_some() => {
+        match &self.discover {
+            None if self.beacons.is_some() => {
                 let text = format!("network {name}: say whom the beacons are for, by discover()");
                 Err(StartError::Network(text))
             }
             None => Ok(None),
-            Some(_) if self.settings.beacons.is_none() => Err(StartError::Network(format!(
+            Some(_) if self.beacons.is_none() => Err(StartError::Network(format!(
                 "network {name}: nodes are discovered by their beacons: give the network a group by \
                  `.beacons(\"239.255.0.1:7399\")`, or describe each neighbour by `.peer`"
             ))),
-            Some(Admitted::AnyNode(_)) => Ok(Some(DiscoveryAdmission::AnyNode)),
+            Some(Admitted::AnyNode) => Ok(Some(DiscoveryAdmission::AnyNode)),
             Some(Admitted::Only(nodes)) => {
                 let nodes: Result<_, _> = nodes.iter().map(|node| NodeName::new(node)).collect();
                 let of = format!("the name of a node that network {name} is discovered by");

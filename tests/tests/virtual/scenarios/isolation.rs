@@ -13,7 +13,7 @@ const NODES: [&str; 3] = ["module1", "module2", "module3"];
 fn node(own: &str, medium: &MemoryMedium) -> NodeBuilder {
     let mut network = Network::memory("ethernet", medium, own);
     for far in NODES.iter().filter(|far| **far != own) {
-        network = network.link(Link::in_memory(far, far));
+        network = network.link(Link::to(far, far));
     }
     Node::builder(own).network(network.with_faults(7))
 }
