@@ -260,9 +260,8 @@ pub use node::{
     MemoryMedium, Network, NetworkRow, NetworkSnapshot, NotReady, RouteRow,
 };
 pub use node::{
-    ComponentOrder, DegradedPart, FaultCounts, FaultEvents, LastRecovery, Node, NodeBuilder,
-    NodeHealth, NodeSnapshot, NodeState, OrderReply, OrderRow, OrderVerb, RemoveError,
-    RestartError, RestartedChild, StartError, Subtree, SupervisorSpec,
+    ComponentOrder, FaultEvents, Node, NodeBuilder, NodeSnapshot, NodeState, OrderReply, OrderRow,
+    OrderVerb, RemoveError, RestartError, RestartedChild, StartError, Subtree, SupervisorSpec,
 };
 
 // Faults: found, shown, recovered.
