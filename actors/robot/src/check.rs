@@ -310,9 +310,10 @@ impl<'a> RobotChecker<'a> {
                 ("robot::setting", at, sentence, "mend its `ports`".to_owned())
             }
             StartError::Setting { setting, value, cure } => {
+                let setting = if setting == "inspection_socket" { "shown_at" } else { setting };
                 let part = ElementPart::of_setting(setting);
                 let sentence = format!("`{}` of node {} is {value}", part.attribute, node.name);
-                ("robot::setting", (node.origin, part), sentence, cure.to_owned())
+                ("robot::setting", (node.origin, part), sentence, cure)
             }
             StartError::Endpoint { network, neighbour, error } => {
                 let of = neighbour.as_ref().and_then(|other| self.robot.node(other.as_str()));
@@ -339,14 +340,9 @@ impl<'a> RobotChecker<'a> {
                 let at = at.unwrap_or((node.origin, "name".into()));
                 ("robot::lost", at, format!("of `{policy}`, {reason}"), "correct it".to_owned())
             }
-            error => {
-                let part = match error {
-                    StartError::Shown(_) => "shown-at",
-                    StartError::Variables { .. } => "keep-variables",
-                    _ => "name",
-                };
+            _ => {
                 let help = "change the description of the node".to_owned();
-                ("robot::node", (node.origin, part.into()), sentence, help)
+                ("robot::node", (node.origin, "name".into()), sentence, help)
             }
         };
         self.find(code, sentence, at, help, "here");

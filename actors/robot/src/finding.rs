@@ -176,9 +176,9 @@ fn shown(finding: &RobotFinding, sources: &RobotSources) -> Report {
     let file = finding.labels.first().map(|(place, _)| place.file);
     let (here, elsewhere): (Vec<_>, Vec<_>) =
         finding.labels.iter().partition(|(place, _)| Some(place.file) == file);
-    let labels = here.into_iter().map(|(place, label)| {
-        LabeledSpan::new_with_span(Some(label.clone()), place.range.clone())
-    });
+    let labels = here
+        .into_iter()
+        .map(|(place, label)| LabeledSpan::new_with_span(Some(label.clone()), place.range.clone()));
     let elsewhere =
         elsewhere.into_iter().map(|(place, label)| format!("{label}: {}", sources.name(place)));
     let help = std::iter::once(finding.help.clone()).chain(elsewhere);

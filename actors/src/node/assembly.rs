@@ -65,7 +65,7 @@ use blastema_core::{
 };
 use std::fs;
 use std::future::Future;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::pin::pin;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, Mutex, OnceLock};
@@ -236,7 +236,7 @@ async fn start(
         .set(assembly.node.chain.monitor.clone().recipient());
     assembly.keep_policies(builder.policies)?;
     #[cfg(feature = "unix")]
-    let inspection = assembly.make_inspection(builder.shown_at).await;
+    let inspection = assembly.make_inspection(builder.shown_at.as_deref()).await;
     assembly.enrol_all(tree).await?;
     #[cfg(feature = "network")]
     assembly.declare_insecure_networks();
@@ -247,7 +247,8 @@ async fn start(
     if let Some(inspection) = inspection {
         // The fault chain's mailboxes close only when the node has ended.
         let shown = inspection.send(StartInspection::node(&node)).await.unwrap_or(Ok(()));
-        shown.map_err(StartError::Shown)?;
+        let path = builder.shown_at.as_deref().unwrap_or(Path::new(""));
+        shown.map_err(|why| StartError::of_path("inspection_socket", path, why))?;
     }
     if builder.handles_signals {
         node.0.apply_safe_outputs_on_signals()?;
@@ -318,7 +319,7 @@ impl NodeAssembly {
         let lock = match FileLock::acquire_after_predecessor(&file, &self.node.name).await {
             Ok(lock) => Some(lock),
             Err(error @ LockError::InUse { .. }) => {
-                return Err(StartError::Variables { file, reason: error.to_string() });
+                return Err(StartError::of_path("keep_variables", &file, error.to_string()));
             }
             // Where no lock can be, no file can be written either, and that stops no robot.
             Err(LockError::Io(error)) => {
@@ -332,7 +333,7 @@ impl NodeAssembly {
         };
         self.node.held.push(path.clone());
         let kept = self.node.environment.variables().keep_in(path, lock, failed);
-        kept.map_err(|error| StartError::Variables { file, reason: error.to_string() })?;
+        kept.map_err(|error| StartError::of_path("keep_variables", &file, error.to_string()))?;
         self.enrolments.push(middleware(named(KEPT_VARIABLES), None));
         Ok(())
     }
@@ -458,8 +459,8 @@ impl NodeAssembly {
 
     /// It is opened when there is something to be seen.
     #[cfg(feature = "unix")]
-    async fn make_inspection(&mut self, path: Option<PathBuf>) -> Option<Addr<InspectionActor>> {
-        let path = path?;
+    async fn make_inspection(&mut self, path: Option<&Path>) -> Option<Addr<InspectionActor>> {
+        let path = path?.to_owned();
         released_here(&path, PREDECESSOR_TIMEOUT).await;
         self.node.held.push(path.clone());
         let (name, chain) = (named("inspection"), &self.node.chain);

@@ -18,7 +18,6 @@ use blastema_contract::session::SessionRow;
 use blastema_contract::strategy::IsolateNode;
 use blastema_core::directory::{ClaimRequest, DirectoryKey};
 use blastema_core::net::Route;
-use blastema_core::suggestion::nearest;
 use blastema_core::{DeliveryError, NameError, NodeName, ObjectName, Request};
 use std::fmt;
 use std::sync::Arc;
@@ -26,8 +25,6 @@ use std::time::Duration;
 
 /// How often it is looked who is there: soon enough for a start, and rare enough to cost nothing.
 const LOOK_AGAIN: Duration = Duration::from_millis(10);
-/// So many known nodes are listed if the given name is none of them.
-const KNOWN_MAX: usize = 10;
 /// Why a node was neither isolated nor admitted: nothing has changed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
@@ -43,24 +40,13 @@ pub enum IsolateError {
     },
     /// No node of this name was ever reached or is described. Correct the name, or describe the
     /// node, for example as a neighbour.
-    #[error("no node is known here as {node}: {}", known_here(nearest.as_ref(), known))]
+    #[error("no node is known here as {node}: it knows {known}")]
     Unknown {
         /// The name that was given.
         node: NodeName,
-        /// What may have been meant.
-        nearest: Option<NodeName>,
-        /// Those that are known, in the order of their names; at most ten.
-        known: Vec<NodeName>,
+        /// The nodes that are known, in the order of their names; `none`.
+        known: String,
     },
-}
-
-fn known_here(nearest: Option<&NodeName>, known: &[NodeName]) -> String {
-    let names: Vec<&str> = known.iter().map(NodeName::as_str).collect();
-    match (nearest, names.is_empty()) {
-        (Some(name), _) => format!("did you mean {name}?"),
-        (None, true) => "it knows no other one; is it on a network?".to_owned(),
-        (None, false) => format!("it knows {}", names.join(", ")),
-    }
 }
 
 /// What was not there in time.
@@ -319,9 +305,9 @@ impl Node {
     fn unknown(&self, node: NodeName) -> IsolateError {
         let mut known = self.0.networks.as_ref().map(|all| all.known()).unwrap_or_default();
         known.remove(&self.0.name);
-        let nearest = nearest(node.as_str(), known.iter().map(NodeName::as_str));
-        let nearest = nearest.and_then(|name| known.get(name)).cloned();
-        IsolateError::Unknown { node, nearest, known: known.into_iter().take(KNOWN_MAX).collect() }
+        let known: Vec<&str> = known.iter().map(NodeName::as_str).collect();
+        let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+        IsolateError::Unknown { node, known }
     }
 
     /// Asks another node for the state of its keys: the roster that it uses, its fingerprint, and
