@@ -84,7 +84,7 @@
 //!
 //! | feature | brings |
 //! | --- | --- |
-//! | `network` | what takes more than one node: [`Network`], [`Link`] and [`Cable`], networks in memory and over [media](medium) of an application's own; [services](manual::services); [names of the whole robot](manual::names); what a node says of networks, links, routes and sessions ([`NetworkSnapshot`], [`Node::connected`]), and [`Node::isolate`] |
+//! | `network` | what takes more than one node: [`Network`], [`Link`] and [`Cable`], networks in memory and over [media](medium) of an application's own; [services](manual::services); [names of the whole robot](manual::names); what a node says of networks, links, routes and sessions ([`Node::links`], [`Node::connected`]), and [`Node::isolate`] |
 //! | `ip`, `unix`, `serial`, `can`, `slcan` | one medium each, and `network` |
 //! | `unix` | [`NodeBuilder::inspection_socket`] too, at which `blastema monitor` looks |
 //! | `device` | [small devices](manual::devices), and `serial`; with `ip` also those on UDP |
@@ -182,7 +182,7 @@ pub use platform::sleep;
 pub use crate::actuator::CommandTimeout::Hold;
 pub use crate::actuator::{ActuatorRow, ActuatorSettings, ActuatorSpec, CommandTimeout, Commander};
 pub use crate::host::reference::ActorRef;
-pub use crate::messaging::dead_letters::{DeadLetterLog, DeadLetterSnapshot};
+pub use crate::messaging::dead_letters::DeadLetterLog;
 pub use crate::messaging::death_watch::{Down, DownReason};
 pub use crate::messaging::error::{Receiver, RequestError, SendError, Unavailable};
 pub use crate::messaging::sender::{Repeatable, Sender};
@@ -256,12 +256,12 @@ pub use blastema_macros::main;
 pub use blastema_transports::endpoint::EndpointError;
 #[cfg(feature = "network")]
 pub use node::{
-    Cable, Direction, Impairment, IsolateError, Link, LinkName, MediumKind, MediumRow,
-    MemoryMedium, Network, NetworkRow, NetworkSnapshot, NotReady, RouteRow,
+    Cable, Direction, Impairment, IsolateError, Link, MediumKind, MemoryMedium, Network,
+    NetworkRow, NotReady,
 };
 pub use node::{
-    ComponentOrder, FaultEvents, Node, NodeBuilder, NodeSnapshot, NodeState, OrderReply, OrderRow,
-    OrderVerb, RemoveError, RestartError, RestartedChild, StartError, Subtree, SupervisorSpec,
+    ComponentOrder, FaultEvents, Node, NodeBuilder, NodeState, OrderReply, OrderRow, OrderVerb,
+    RemoveError, RestartError, RestartedChild, StartError, Subtree, SupervisorSpec,
 };
 
 // Faults: found, shown, recovered.

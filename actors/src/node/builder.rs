@@ -184,7 +184,7 @@ impl NodeBuilder {
     }
 
     /// Shows the node to `blastema monitor`, and to whatever else connects to a Unix socket at this
-    /// path: its [`snapshot`](crate::Node::snapshot) as JSON, and the end. Only processes of the
+    /// path: its [`snapshot`](crate::Node::snapshot), and the end. Only processes of the
     /// same user may look, and nothing can be changed from there. It can be seen from the start on,
     /// and in the safe state.
     ///

@@ -1,6 +1,6 @@
 //! The inspection socket: a Unix socket at which other processes of the machine see the node.
 //!
-//! A client that connects gets one [`NodeSnapshot`](super::NodeSnapshot) as JSON, and the end of
+//! A client that connects gets one [snapshot](super::Node::snapshot), and the end of
 //! the stream. One that sends a line at once, a [`ComponentOrder`] as JSON, gets the [`OrderReply`]
 //! instead. The socket stays open in the safe state, and closes with the node.
 
@@ -161,7 +161,7 @@ async fn answer(mut client: UnixStream, node: &Weak<Shared>) {
     let order = read_order(&mut client).await;
     let text = match (order, node.upgrade().map(Node)) {
         (Some(order), node) => carry_out(node, &order).await,
-        (None, Some(node)) => node.snapshot().await.to_json() + "\n",
+        (None, Some(node)) => node.snapshot().await + "\n",
         (None, None) => return,
     };
     // A client may disconnect before it has read all.

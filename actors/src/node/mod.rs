@@ -48,11 +48,8 @@ pub use network::{
     Cable, Direction, Impairment, IsolateError, Link, MediumKind, MemoryMedium, Network, NotReady,
 };
 #[cfg(feature = "network")]
-pub use network_rows::{LinkName, MediumRow, NetworkRow, RouteRow};
+pub use network_rows::NetworkRow;
 pub use order::{ComponentOrder, OrderReply, OrderRow, OrderVerb};
-#[cfg(feature = "network")]
-pub use snapshot::NetworkSnapshot;
-pub use snapshot::NodeSnapshot;
 pub use tree::{Subtree, SupervisorSpec};
 
 use crate::actuator::{self, ActuatorRow, Commander};
@@ -74,6 +71,8 @@ use crate::platform;
 use crate::platform::file_lock::released_here;
 use crate::platform::systemd::Systemd;
 use crate::topic::{Publisher, TopicRow};
+#[cfg(feature = "trees")]
+use crate::trees::{TreeChangeRow, TreeNodeRow};
 use crate::variable::{self, VariableRef};
 use assembly::FaultChain;
 #[cfg(feature = "network")]
@@ -365,11 +364,24 @@ impl Node {
         self.0.environment.arbiters.abandoned()
     }
 
-    /// Everything that the node knows of itself now: table, threads, links, routes, sessions,
-    /// claims, actuators, topics, dead letters, faults. It can be read at any time; a part that
-    /// does not come within a second is `None`.
-    pub async fn snapshot(&self) -> NodeSnapshot {
-        NodeSnapshot::of(self).await
+    /// Everything that the node knows of itself now, as one JSON document on one line: table,
+    /// threads, links, routes, sessions, claims, actuators, topics, dead letters, faults. Spans are
+    /// in milliseconds (`_ms`). It can be read at any time; a part that does not come within a
+    /// second is `null`, an empty list means that there is nothing.
+    pub async fn snapshot(&self) -> String {
+        snapshot::document(self).await.to_string()
+    }
+
+    /// Returns the nodes of behaviour trees that are not idle.
+    #[cfg(feature = "trees")]
+    pub fn trees(&self) -> Vec<TreeNodeRow> {
+        self.0.environment.trees().nodes()
+    }
+
+    /// Returns the last ticks of behaviour trees in which nodes have changed.
+    #[cfg(feature = "trees")]
+    pub fn tree_changes(&self) -> Vec<TreeChangeRow> {
+        self.0.environment.trees().changes()
     }
 
     /// Returns the threads that components run on: what occupies them, their utilisation, and their

@@ -33,7 +33,7 @@ impl Network {
         let reach = self.medium.reach();
         // A group that cannot be read is refused by the check of the network.
         let beacons = self.beacon_socket().ok().flatten();
-        beacons.map_or(reach, |beacons| reach.max(beacons.reach()))
+        beacons.map_or(reach, |beacons| reach.max(beacons.socket.reach()))
     }
 
     /// Returns whether its frames leave this computer: not over loopback addresses, Unix sockets

@@ -5,7 +5,7 @@ use super::Cable;
 use crate::directory::{Claim, ClaimError, ClaimPolicy, ClaimRow, Holder, NameWatch, NodeRow};
 use crate::net::RosterRow;
 use crate::net::operator::{self, KeyStatus, OrderError};
-use crate::node::network_rows::{MediumRow, NetworkRow};
+use crate::node::network_rows::NetworkRow;
 use crate::node::order::{COMPONENTS, ComponentOrder, OrderReply};
 use crate::node::{Node, NodeState};
 use crate::platform;
@@ -16,6 +16,7 @@ use blastema_contract::link::LinkRow;
 use blastema_contract::router::InjectPanic;
 use blastema_contract::session::SessionRow;
 use blastema_contract::strategy::IsolateNode;
+use blastema_contract::transport::TransportCounters;
 use blastema_core::directory::{ClaimRequest, DirectoryKey};
 use blastema_core::net::Route;
 use blastema_core::{DeliveryError, NameError, NodeName, ObjectName, Request};
@@ -98,10 +99,11 @@ impl Node {
     }
 
     /// What the medium of each network has carried and lost, and what waits for it now.
-    pub async fn media(&self) -> Vec<MediumRow> {
-        let Some(networks) = &self.0.networks else { return Vec::new() };
-        let rows = networks.handle.read_media().await;
-        rows.into_iter().map(|(network, counters)| MediumRow { network, counters }).collect()
+    pub(in crate::node) async fn media(&self) -> Vec<(Arc<str>, TransportCounters)> {
+        match &self.0.networks {
+            Some(networks) => networks.handle.read_media().await,
+            None => Vec::new(),
+        }
     }
 
     /// Every node that can be reached from here, and over which link.

@@ -1,5 +1,6 @@
 //! Starts the transports of a network that was described.
 
+use super::beacons::Beacons;
 use super::{Admitted, Cable, Link, Medium, Network};
 #[cfg(feature = "serial")]
 use crate::net::keys::SealTerms;
@@ -105,14 +106,14 @@ impl Medium {
 }
 
 /// Where the actor of a transport is started, and its name.
-pub(super) struct TransportPlace<'a> {
-    pub(super) object: ObjectName,
-    pub(super) guardian: &'a Guardian,
-    pub(super) arbiter: Option<&'a ArbiterHandle>,
+struct TransportPlace<'a> {
+    object: ObjectName,
+    guardian: &'a Guardian,
+    arbiter: Option<&'a ArbiterHandle>,
 }
 
 impl TransportPlace<'_> {
-    pub(super) fn start<A>(self, make: impl FnOnce() -> A + Send + 'static) -> Transport
+    fn start<A>(self, make: impl FnOnce() -> A + Send + 'static) -> Transport
     where
         A: Actor<Context = Context<A>> + Supervised,
         Transport: From<Addr<A>>,
@@ -144,12 +145,14 @@ impl Network {
         }
         let mut transports = vec![object.clone()];
         let place = |object| TransportPlace { object, guardian, arbiter };
-        let mut transport = medium.start(&name, memory, place(object))?;
-        let discovery = beacons.zip(admission).map(|(beacons, admission)| {
+        let mut transport = medium.start(&name, memory.clone(), place(object))?;
+        let mut discovery = None;
+        if let (Some(Beacons { socket, group }), Some(admission)) = (beacons, admission) {
             transports.push(sender.clone());
-            let beacons = beacons.start(place(sender));
-            DiscoverySpec { admission, hello_interval: HELLO_INTERVAL.default, beacons }
-        });
+            let beacons = (socket.start(&name, memory.clone(), place(sender))?, group);
+            let hello_interval = HELLO_INTERVAL.default;
+            discovery = Some(DiscoverySpec { admission, hello_interval, beacons });
+        }
         let cable = faults.map(|seed| {
             transports.push(cable.clone());
             let (inner, config) =
