@@ -37,8 +37,8 @@ pub(crate) fn check(
 ) -> Vec<RobotFinding> {
     let files = sources.files.clone();
     let places = ElementPlaces::of(sources);
-    let whole = BTreeSet::new();
-    let mut checker = RobotChecker { robot, types, places, files, findings, whole };
+    let untried = BTreeSet::new();
+    let mut checker = RobotChecker { robot, types, places, files, findings, untried };
     checker.names("node", "robot", robot.nodes.iter().map(|node| (&*node.name, node.origin)));
     let networks = robot.networks.iter().map(|network| (&*network.name, network.origin));
     checker.names("network", "robot", networks);
@@ -71,8 +71,8 @@ struct RobotChecker<'a> {
     /// The robot's files, and those of its trees.
     files: Vec<(String, Arc<str>)>,
     findings: Vec<RobotFinding>,
-    /// The nodes in whose trees nothing was found.
-    whole: BTreeSet<&'a str>,
+    /// The components that cannot be tried, each behind its node.
+    untried: BTreeSet<(&'a str, &'a str)>,
 }
 
 impl<'a> RobotChecker<'a> {
@@ -168,7 +168,6 @@ impl<'a> RobotChecker<'a> {
     fn node(&mut self, node: &'a NodeDescription) {
         let [_, _, safe_outputs] = self.types.names();
         let types = self.types;
-        let mut refused = BTreeSet::new();
         let mut objects = Vec::new();
         node.root.visit(&mut |child| objects.push(child.identity()));
         self.names("object", &format!("node {}", node.name), objects.iter().copied());
@@ -206,7 +205,7 @@ impl<'a> RobotChecker<'a> {
             };
             let has_endpoint = component.device.as_ref().is_none_or(|device| !device.at.is_empty());
             if !is_known || !has_endpoint {
-                refused.insert(component.name.as_str());
+                self.untried.insert((&node.name, &component.name));
             }
             if !name.is_empty() && !is_known {
                 let what = if component.device.is_some() { "type of devices" } else { "type" };
@@ -227,31 +226,15 @@ impl<'a> RobotChecker<'a> {
                 self.twice(sentence, part, [first, again], "delete one");
             }
         }
-        // Dependencies have rules of their own here, and names that two have were found.
-        let mut trial = node.clone();
-        trial.lost_communication.clear();
-        let mut names = BTreeSet::from([String::new()]);
-        trial.root.retain(&mut |child| {
-            let is_new = names.insert(child.identity().0.to_owned());
-            let ChildDescription::Component(component) = child else { return is_new };
-            component.depends_on.clear();
-            is_new && !refused.contains(component.name.as_str())
-        });
-        let is_whole = trial.components().len() == node.components().len();
-        match self.types.composed(self.robot, &trial) {
-            Ok(builder) => {
-                let refused = builder.check();
-                if refused.is_empty() && is_whole {
-                    self.whole.insert(&node.name);
-                }
-                refused.into_iter().for_each(|error| self.refused(node, error));
-            }
-            Err(error) => self.find("robot::node", error, (node.origin, "name"), "", ""),
-        }
     }
 
-    /// Shows what a start would refuse.
-    fn refused(&mut self, node: &'a NodeDescription, error: StartError) {
+    /// Shows what a start would refuse, at this place where the error names no other.
+    fn refused(
+        &mut self,
+        node: &'a NodeDescription,
+        error: StartError,
+        (code, place, help): (&'static str, (ElementOrigin, &str), &str),
+    ) {
         let text = error.to_string();
         let sentence = text.lines().next().unwrap_or_default().to_owned();
         let origin_of = |object: &str| {
@@ -262,6 +245,10 @@ impl<'a> RobotChecker<'a> {
                 }
             });
             found.unwrap_or(node.origin)
+        };
+        let origin_of_network = |name: &str| {
+            let mut networks = self.robot.networks.iter();
+            networks.find(|of| of.name == name).map_or(node.origin, |of| of.origin)
         };
         let (code, at, sentence, help) = match error {
             StartError::Spec(SpecError::Setting { name, setting, value, cure }) => {
@@ -325,14 +312,21 @@ impl<'a> RobotChecker<'a> {
                 let at = at.unwrap_or((node.origin, "name".into()));
                 ("robot::network", at, error.problem().to_owned(), MEDIA.to_owned())
             }
-            // It is found at the network.
-            StartError::Insecure { .. } => return,
+            StartError::Insecure { network, .. } => {
+                let sentence = format!("`{network}` leaves the computer without keys");
+                let help = "add `keys=\"…\"` to `robot`, or `insecure=\"true\"` here if every station \
+                            on it may command this robot";
+                (
+                    "robot::network",
+                    (origin_of_network(&network), "name".into()),
+                    sentence,
+                    help.to_owned(),
+                )
+            }
             StartError::Link { network, setting, value, cure, .. } => {
                 let part = ElementPart::of_setting(setting);
                 let sentence = format!("`{}` of network {network} is {value}", part.attribute);
-                let mut networks = self.robot.networks.iter();
-                let of = networks.find(|of| of.name == network).map_or(node.origin, |of| of.origin);
-                ("robot::network", (of, part), sentence, cure.to_owned())
+                ("robot::network", (origin_of_network(&network), part), sentence, cure.to_owned())
             }
             StartError::LostCommunication { policy, part, reason } => {
                 let mut policies = node.lost_communication.iter();
@@ -340,10 +334,7 @@ impl<'a> RobotChecker<'a> {
                 let at = at.unwrap_or((node.origin, "name".into()));
                 ("robot::lost", at, format!("of `{policy}`, {reason}"), "correct it".to_owned())
             }
-            _ => {
-                let help = "change the description of the node".to_owned();
-                ("robot::node", (node.origin, "name".into()), sentence, help)
-            }
+            _ => (code, (place.0, place.1.into()), sentence, help.to_owned()),
         };
         self.find(code, sentence, at, help, "here");
     }
@@ -447,7 +438,7 @@ impl<'a> RobotChecker<'a> {
 
     fn networks(&mut self) {
         let names = self.robot.networks.iter().map(|network| network.name.as_str());
-        let mut ends: BTreeMap<&str, Vec<(&NodeDescription, &EndpointDescription)>> =
+        let mut ends: BTreeMap<&str, Vec<(&'a NodeDescription, &EndpointDescription)>> =
             names.clone().map(|name| (name, Vec::new())).collect();
         for node in &self.robot.nodes {
             for end in &node.endpoints {
@@ -488,7 +479,7 @@ impl<'a> RobotChecker<'a> {
         }
     }
 
-    fn endpoint(&mut self, node: &NodeDescription, end: &EndpointDescription) {
+    fn endpoint(&mut self, node: &'a NodeDescription, end: &EndpointDescription) {
         let (code, at) = ("robot::network", (end.origin, "at"));
         let place = end.at.split_once("://").map_or("", |(_, place)| place);
         let unspecified = place.starts_with("0.0.0.0:") || place.starts_with("[::]:");
@@ -510,18 +501,7 @@ impl<'a> RobotChecker<'a> {
         let network = end_of(described, end);
         let network = if has_keys { network.insecure() } else { network };
         for error in Node::builder(&node.name).network(network).check() {
-            if let StartError::Insecure { network, .. } = error {
-                let sentence = format!("`{network}` leaves the computer without keys");
-                let help = "add `keys=\"…\"` to `robot`, or `insecure=\"true\"` here if every station \
-                            on it may command this robot";
-                self.find(code, sentence, (origin, "name"), help, "here");
-            } else if let StartError::Endpoint { error, .. } = error {
-                self.find(code, error.problem(), at, MEDIA, "here");
-            } else {
-                let text = error.to_string();
-                let sentence = text.lines().next().unwrap_or_default();
-                self.find(code, sentence, at, MEDIA, "here");
-            }
+            self.refused(node, error, (code, at, MEDIA));
         }
         if has_keys && described.insecure {
             let sentence =
@@ -530,7 +510,7 @@ impl<'a> RobotChecker<'a> {
         }
     }
 
-    /// Tries each node as its start does, with all in which nothing was found.
+    /// Tries each node as its start does, without what was found to be wrong.
     fn try_nodes(&mut self) {
         let mut robot = self.robot.clone();
         // Plans and dependencies have rules of their own, and keys need not be here.
@@ -539,35 +519,43 @@ impl<'a> RobotChecker<'a> {
         (robot.keys, robot.plan) = Default::default();
         let labels = self.findings.iter().flat_map(|finding| &finding.labels);
         let is_right = |origin| !labels.clone().any(|(place, _)| self.places.holds(origin, place));
-        let is_whole = |end: &PortAddress| {
-            end.node.as_ref().is_some_and(|node| self.whole.contains(node.as_str()))
-        };
-        robot.connections.retain(|ConnectionDescription { ports, origin }| {
-            is_right(*origin) && is_whole(&ports.from) && is_whole(&ports.to)
-        });
+        let mut whole = BTreeSet::new();
         for node in &mut robot.nodes {
-            let is_whole = self.whole.contains(&*node.name);
             (node.keys, node.safe_outputs, node.plan) = Default::default();
             node.endpoints.retain(|end| is_right(end.origin));
-            let (own, has_networks) = (&node.name, !node.endpoints.is_empty());
+            let (own, mut names, mut is_whole) =
+                (&node.name, BTreeSet::from([String::new()]), true);
+            node.root.retain(&mut |child| {
+                let is_new = names.insert(child.identity().0.to_owned());
+                let ChildDescription::Component(component) = child else { return is_new };
+                (component.depends_on, component.plan) = Default::default();
+                let is_refused = self.untried.contains(&(own.as_str(), component.name.as_str()));
+                is_whole &= is_new && !is_refused;
+                is_new && !is_refused
+            });
+            let has_networks = !node.endpoints.is_empty();
             node.lost_communication.retain(|policy| {
                 let can_be_lost =
                     has_networks || policy.commander.as_ref().is_none_or(|of| of == own);
                 is_whole && can_be_lost && is_right(policy.origin)
             });
-            node.root.retain(&mut |child| {
-                if let ChildDescription::Component(component) = child {
-                    (component.depends_on, component.plan) = Default::default();
-                }
-                is_whole
-            });
+            if is_whole {
+                whole.insert(own.clone());
+            }
         }
+        let is_whole =
+            |end: &PortAddress| end.node.as_ref().is_some_and(|node| whole.contains(node.as_str()));
+        robot.connections.retain(|ConnectionDescription { ports, origin }| {
+            is_right(*origin) && is_whole(&ports.from) && is_whole(&ports.to)
+        });
         for node in &self.robot.nodes {
+            let at = (node.origin, "name");
             match self.types.node(&robot, &node.name) {
-                Ok(builder) => {
-                    builder.check().into_iter().for_each(|error| self.refused(node, error));
-                }
-                Err(error) => self.find("robot::node", error, (node.origin, "name"), "", ""),
+                Ok(builder) => builder.check().into_iter().for_each(|error| {
+                    let help = "change the description of the node";
+                    self.refused(node, error, ("robot::node", at, help));
+                }),
+                Err(error) => self.find("robot::node", error, at, "", ""),
             }
         }
     }

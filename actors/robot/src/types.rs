@@ -277,7 +277,19 @@ impl Types {
             let nodes: Vec<&str> = robot.nodes.iter().map(|node| node.name.as_str()).collect();
             format!("{} has no node `{name}`: its nodes are {}", robot.name, nodes.join(", "))
         })?;
-        let mut builder = self.composed(robot, node)?.plan(plan_of(robot, node));
+        let mut builder = Node::builder(name).plan(plan_of(robot, node));
+        builder = node.work_threads.into_iter().fold(builder, NodeBuilder::work_threads);
+        if node.locked_memory {
+            builder = builder.locked_memory();
+        }
+        builder = node.grace.into_iter().fold(builder, NodeBuilder::grace);
+        builder = node.shown_at.iter().fold(builder, NodeBuilder::inspection_socket);
+        builder = node.keep_variables.iter().fold(builder, NodeBuilder::keep_variables);
+        for policy in &node.lost_communication {
+            builder = builder.lost_communication(self.policy(robot, node, policy)?);
+        }
+        let rungs: Vec<&str> = node.run_by_rungs().collect();
+        builder = builder.root(self.supervisor(&node.root, &rungs)?);
         builder = self.strategies.values().fold(builder, |builder, add| add(builder));
         if let Some(name) = &node.safe_outputs {
             let unknown = || format!("no safe outputs `{name}` are registered");
@@ -298,27 +310,6 @@ impl Types {
             builder = builder.connect(&from.to_string(), &to.to_string());
         }
         Ok(builder)
-    }
-
-    /// A node with its own settings, its tree and its policies for lost communication alone.
-    pub(crate) fn composed(
-        &self,
-        robot: &RobotDescription,
-        node: &NodeDescription,
-    ) -> Result<NodeBuilder, String> {
-        let mut builder = Node::builder(&node.name);
-        builder = node.work_threads.into_iter().fold(builder, NodeBuilder::work_threads);
-        if node.locked_memory {
-            builder = builder.locked_memory();
-        }
-        builder = node.grace.into_iter().fold(builder, NodeBuilder::grace);
-        builder = node.shown_at.iter().fold(builder, NodeBuilder::inspection_socket);
-        builder = node.keep_variables.iter().fold(builder, NodeBuilder::keep_variables);
-        for policy in &node.lost_communication {
-            builder = builder.lost_communication(self.policy(robot, node, policy)?);
-        }
-        let rungs: Vec<&str> = node.run_by_rungs().collect();
-        Ok(builder.root(self.supervisor(&node.root, &rungs)?))
     }
 
     fn policy(

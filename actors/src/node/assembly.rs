@@ -139,28 +139,33 @@ impl NodeBuilder {
     }
 
     /// Returns what [`start`](Self::start) would refuse in the description: everything that is wrong
-    /// with the node, its components and its supervisors, or all connections and policies for lost
-    /// communication that are, else the first other error. No component is made, and no medium, file
+    /// with the node, its networks, components and supervisors; where these components are right,
+    /// all connections and policies for lost communication that are not; else the first other
+    /// error. No component is made, and no medium, file
     /// of variables or journal is opened; keys and files of parameters are read. The computer on
     /// which the node starts may refuse more, such as its [memory](NodeBuilder::locked_memory).
     pub fn check(self) -> Vec<StartError> {
         let mut refused = check_settings(&self);
-        refused.extend(check(self).unwrap_or_else(|refused| refused));
+        let last = check(self, &mut refused).err();
+        refused.extend(last.into_iter().flatten());
         refused
     }
 
-    /// Finds what can be known to be wrong before anything is made.
-    fn checked_name(&mut self) -> Result<NodeName, Vec<StartError>> {
+    /// The name of the node, which starts in Blastema's runtime alone.
+    fn checked_name(&self) -> Result<NodeName, Vec<StartError>> {
         if actix_rt::System::try_current().is_none() {
             return Err(StartError::Runtime.into());
         }
-        let node =
-            NodeName::new(&self.name).map_err(StartError::name_of("the name of the node"))?;
+        Ok(NodeName::new(&self.name).map_err(StartError::name_of("the name of the node"))?)
+    }
+
+    /// Finds what can be known to be wrong with the networks, and with commanders on them.
+    fn check_networks(&mut self, node: &NodeName) -> Result<(), Vec<StartError>> {
         #[cfg(feature = "network")]
-        self.networks.check(&node)?;
+        self.networks.check(node)?;
         for policy in &self.policies {
             // One that is this node is refused with the policies.
-            let other = policy.commander_node()?.filter(|commander| *commander != node);
+            let other = policy.commander_node()?.filter(|commander| commander != node);
             let Some(commander) = other else { continue };
             #[cfg(feature = "network")]
             let known = self.networks.check_commander(&commander);
@@ -169,27 +174,28 @@ impl NodeBuilder {
                 Err(format!("its commander {commander} cannot reach a node without networks"));
             known.map_err(|reason| policy.refused(PolicyPart::Commander, reason))?;
         }
-        Ok(node)
+        Ok(())
     }
 }
 
-/// Finds what is wrong with the networks, or else the tree, or else the rest of the description.
-fn check(mut builder: NodeBuilder) -> Result<Vec<StartError>, Vec<StartError>> {
+/// Finds what is wrong with the networks and the tree, or else with the rest of the description.
+fn check(mut builder: NodeBuilder, refused: &mut Vec<StartError>) -> Result<(), Vec<StartError>> {
     #[cfg(feature = "network")]
     {
         builder.networks.hosts = Hosts::Numbered(Default::default());
     }
     let node = builder.checked_name()?;
+    refused.extend(builder.check_networks(&node).err().into_iter().flatten());
     // The chain is made for the names of its objects alone.
     builder.placement = ActorPlacement::Here;
     let assembly = NodeAssembly::begin(&mut builder, (node, Incarnation::FIRST))?;
     assembly.read_parameters(builder.parameters)?;
     // Its actuators are there as long as it is.
     let _preparation = assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies)?;
-    let parameters = assembly.check_parameters(&builder.policies).err().into_iter();
-    let connections = assembly.connect_ports(&builder.policies, &builder.connections);
-    let policies = assembly.wrong_policies(&builder.policies);
-    Ok(parameters.chain(connections).chain(policies).collect())
+    refused.extend(assembly.check_parameters(&builder.policies).err());
+    refused.extend(assembly.connect_ports(&builder.policies, &builder.connections));
+    refused.extend(assembly.wrong_policies(&builder.policies));
+    Ok(())
 }
 
 /// Puts a node together, and starts it; undoes that if `end` resolves meanwhile.
@@ -200,6 +206,7 @@ async fn start(
     panics::install_hook();
     let first = |mut refused: Vec<StartError>| refused.swap_remove(0);
     let node = builder.checked_name().map_err(first)?;
+    builder.check_networks(&node).map_err(first)?;
     check_settings(&builder).into_iter().next().map_or(Ok(()), Err)?;
     if builder.locks_memory && !platform::clock_stands() {
         scheduling::lock_memory()?;
