@@ -79,8 +79,6 @@ pub struct EndpointDescription {
     pub at: String,
     /// The address that other nodes use; unless it is set, the one of `at`.
     pub reached_at: Option<String>,
-    /// See [`Network::interface`](blastema::Network::interface).
-    pub interface: Option<String>,
     #[doc(hidden)]
     pub origin: ElementOrigin,
 }

@@ -329,7 +329,6 @@ fn endpoint(element: &RobotElement<'_>) -> EndpointDescription {
         network: element.need("network", value::text).unwrap_or_default(),
         at: element.need("at", value::text).unwrap_or_default(),
         reached_at: element.take("reached-at", value::text),
-        interface: element.take("interface", value::text),
         origin: element.origin(),
     }
 }

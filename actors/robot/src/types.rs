@@ -568,7 +568,6 @@ fn plan_of(robot: &RobotDescription, node: &NodeDescription) -> Plan {
 /// A network with its own end alone.
 pub(crate) fn end_of(network: &RobotNetwork, endpoint: &EndpointDescription) -> Network {
     let end = Network::new(&network.name, &endpoint.at);
-    let end = endpoint.interface.iter().fold(end, |end, name| end.interface(name));
     if network.insecure { end.insecure() } else { end }
 }
 

@@ -57,7 +57,6 @@ pub struct Network {
     memory: MemoryMedium,
     faults: Option<u64>,
     insecure: bool,
-    interface: Option<String>,
     /// The group by which beacons are sent.
     beacons: Option<String>,
     kind: Option<MediumKind>,
@@ -177,7 +176,6 @@ impl Network {
             memory: MemoryMedium::of_this_process(),
             faults: None,
             insecure: false,
-            interface: None,
             beacons: None,
             kind: None,
             discover: None,
@@ -233,14 +231,6 @@ impl Network {
         self
     }
 
-    /// Sets the network interface, such as `eth0`. When the interface loses its carrier, its links
-    /// are declared down at once instead of after missing hellos. Not needed if the socket is bound
-    /// to an address of one interface.
-    pub fn interface(mut self, name: &str) -> Self {
-        self.interface = Some(name.to_owned());
-        self
-    }
-
     /// Says what the medium is like, for the [timeouts of
     /// conditions](crate::manual::conditions#timeouts). Otherwise it is wireless where the system
     /// says so of the network's interface, and else wired.
@@ -249,12 +239,13 @@ impl Network {
         self
     }
 
-    /// A socket that is bound to one address uses the interface that has it.
+    /// The interface of its endpoint. When it loses its carrier, links are declared down at once
+    /// instead of after missing hellos. A socket that is bound to one address uses the interface
+    /// that has it.
     fn used_interface(&self) -> Option<Interface> {
-        let (named, bind) = self.medium.socket().unzip();
-        let named = self.interface.as_deref().or(named.flatten());
+        let (named, bind) = self.medium.socket()?;
         let named = named.map(|name| Interface::Named(name.to_owned()));
-        named.or_else(|| Interface::of(bind?.ip()))
+        named.or_else(|| Interface::of(bind.ip()))
     }
 
     /// What the medium is like, as the description or the system says.

@@ -195,8 +195,7 @@ fn whole() -> RobotDescription {
             endpoint("cable", "unix:///tmp/base.cable"),
             EndpointDescription {
                 reached_at: Some("192.168.0.1:7400".into()),
-                interface: Some("eth0".into()),
-                ..endpoint("ether", "udp://0.0.0.0:7400")
+                ..endpoint("ether", "udp://0.0.0.0:7400?interface=eth0")
             },
         ],
         ..Default::default()

@@ -10,7 +10,6 @@ use blastema_core::NodeName;
 use blastema_core::net::routing::MTU_MIN;
 use blastema_core::net::wire::advertisement::NEIGHBOURS_MAX;
 use blastema_core::sorted::{SortedMap, SortedSet};
-use blastema_transports::endpoint::is_interface;
 
 /// Every network and every neighbour there can be what it is said to be.
 pub(in crate::node) fn check_networks(
@@ -126,9 +125,6 @@ impl Network {
         if let Medium::Unreadable(error) = &self.medium {
             return Err(self.endpoint_error(None, error.clone()));
         }
-        if let Some(what) = self.own_fault() {
-            return wrong(what);
-        }
         for link in &self.links {
             self.check_settings(link)?;
             if let Some(what) = self.link_fault(link, node) {
@@ -176,22 +172,6 @@ impl Network {
             }
         }
         Ok(())
-    }
-
-    /// What is wrong with our own end of it.
-    fn own_fault(&self) -> Option<String> {
-        let name = self.interface.as_ref()?;
-        if !is_interface(name) {
-            return Some(format!(
-                "{name:?} is no name of an interface: write one as in eth0, 1 to 15 letters without \
-                 slash"
-            ));
-        }
-        let bound_to = self.medium.socket().and_then(|(named, _)| named);
-        let other = bound_to.filter(|bound_to| *bound_to != name)?;
-        Some(format!(
-            "its endpoint says interface={other}, and its interface is {name}: say one of them only"
-        ))
     }
 
     fn link_fault(&self, link: &Link, node: &NodeName) -> Option<String> {
