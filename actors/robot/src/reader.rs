@@ -3,8 +3,8 @@
 use crate::description::{
     AnswerDescription, ChildDescription, CommandDescription, ComponentDescription,
     ConnectionDescription, DeviceSettings, EndpointDescription, LostCommunicationDescription,
-    NeedChannel, NeedDescription, NodeDescription, RobotDescription, RobotNetwork, RungAction,
-    RungDescription, SupervisorDescription,
+    NeedDescription, NodeDescription, RobotDescription, RobotNetwork, RungAction, RungDescription,
+    SupervisorDescription,
 };
 use crate::element::{ArgumentValues, FileReading, RobotElement};
 use crate::finding::{FilePlace, RobotFinding, RobotSources};
@@ -14,7 +14,7 @@ use blastema::core::port::{ConnectError, PortAddress, PortConnection};
 use blastema::detection::{Liveness, Pull, Push};
 use blastema::recovery::{Backoff, Ladder, RecoveryAction, Restart, Strategy, WhenExceeded};
 use blastema::trees::byte_at;
-use blastema::{ActuatorSettings, ClaimPolicy, NodeName, ProcessSpec, WhenFull};
+use blastema::{ActuatorSettings, ClaimPolicy, Connected, NodeName, ProcessSpec, WhenFull};
 use roxmltree::{Document, Error, ParsingOptions};
 use std::cell::{Cell, RefCell};
 use std::path::{Path, PathBuf};
@@ -416,36 +416,41 @@ fn lost_communication(element: &RobotElement<'_>, node: &str) -> LostCommunicati
     }
 }
 
+/// The kinds of channels: how each is written, and what it means.
+type NeedKind = (&'static str, fn(&str) -> ParsedValue<String>, fn(&str) -> Connected);
+const NEED_KINDS: [NeedKind; 4] = [
+    ("heartbeat", value::text, Connected::heartbeat),
+    ("node", value::node_name, Connected::node),
+    ("session", value::node_name, Connected::session),
+    ("link", value::text, Connected::link),
+];
+
 /// A channel that must be connected: one attribute says which.
 fn needs(element: &RobotElement<'_>) -> Option<NeedDescription> {
-    let channels = [
-        element.take("heartbeat", value::text).map(NeedChannel::Heartbeat),
-        element.take("node", value::node_name).map(NeedChannel::Node),
-        element.take("session", value::node_name).map(NeedChannel::Session),
-        element.take("link", value::text).map(NeedChannel::Link),
-    ];
-    let rate = element.take("rate", value::rate);
-    let window = match element.node.has_attribute("rate") {
-        true => element.need("window", value::duration),
-        false => None,
-    };
-    let mut channels = channels.into_iter().flatten();
-    let channel = channels.next();
-    if channel.is_none() || channels.next().is_some() {
+    let written = NEED_KINDS.map(|(kind, parse, of)| Some((kind, element.take(kind, parse)?, of)));
+    let mut written = written.into_iter().flatten();
+    let channel = written.next();
+    if channel.is_none() || written.next().is_some() {
         let sentence = "`needs` names one channel";
         let help = "write `heartbeat`, `node`, `session` or `link`, and one `needs` for each";
         element.find("robot::lost", element.place(""), ValueError::new(sentence, "here", help));
     }
-    // The channel last: without one the other attributes are known all the same.
-    Some(NeedDescription {
-        timeout: element.take("timeout", value::duration),
-        rate: rate.zip(window),
-        max_latency: element.take("max-latency", value::duration),
-        max_jitter: element.take("max-jitter", value::duration),
-        max_loss: element.take("max-loss", value::number),
-        origin: element.origin(),
-        channel: channel?,
-    })
+    // Without a channel the other attributes are known all the same.
+    let (kind, name, of) = channel.unwrap_or(("", String::new(), Connected::heartbeat));
+    let mut needed = of(&name);
+    needed = element.take("timeout", value::duration).into_iter().fold(needed, Connected::timeout);
+    let rate = element.take("rate", value::rate);
+    if element.node.has_attribute("rate") {
+        let rate = rate.zip(element.need("window", value::duration));
+        needed = rate.into_iter().fold(needed, |needed, (hz, window)| needed.at_rate(hz, window));
+    }
+    let latency = element.take("max-latency", value::duration);
+    needed = latency.into_iter().fold(needed, Connected::max_latency);
+    let jitter = element.take("max-jitter", value::duration);
+    needed = jitter.into_iter().fold(needed, Connected::max_jitter);
+    needed = element.take("max-loss", value::number).into_iter().fold(needed, Connected::max_loss);
+    let origin = element.origin();
+    (!kind.is_empty()).then_some(NeedDescription { kind, name, needed, origin })
 }
 
 /// What supervisors and nodes have in common.

@@ -2,8 +2,8 @@
 
 use crate::description::{
     AnswerDescription, ChildDescription, ComponentDescription, EndpointDescription,
-    LostCommunicationDescription, NeedChannel, NeedDescription, NodeDescription, RobotDescription,
-    RobotNetwork, SupervisorDescription,
+    LostCommunicationDescription, NodeDescription, RobotDescription, RobotNetwork,
+    SupervisorDescription,
 };
 use crate::own_process::candidates;
 use crate::reader::RUNGS;
@@ -318,7 +318,7 @@ impl Types {
         node: &NodeDescription,
         described: &LostCommunicationDescription,
     ) -> Result<LostCommunicationPolicy, String> {
-        let needs: Vec<_> = described.needs.iter().map(need).collect();
+        let needs: Vec<_> = described.needs.iter().map(|need| need.needed.clone()).collect();
         let needs = Connected::at_least(described.at_least.unwrap_or(needs.len()), needs);
         let mut policy = LostCommunicationPolicy::new(&described.name, needs);
         policy = described.commander.iter().fold(policy, |policy, node| policy.commander(node));
@@ -533,21 +533,6 @@ fn configured<C: Component>(spec: ChildSpec<C>, component: &ComponentDescription
         spec = spec.essential();
     }
     spec
-}
-
-/// What must be connected.
-fn need(of: &NeedDescription) -> Connected {
-    let mut need = match &of.channel {
-        NeedChannel::Heartbeat(topic) => Connected::heartbeat(topic),
-        NeedChannel::Node(node) => Connected::node(node),
-        NeedChannel::Session(node) => Connected::session(node),
-        NeedChannel::Link(link) => Connected::link(link),
-    };
-    need = of.timeout.into_iter().fold(need, Connected::timeout);
-    need = of.rate.into_iter().fold(need, |need, (hz, window)| need.at_rate(hz, window));
-    need = of.max_latency.into_iter().fold(need, Connected::max_latency);
-    need = of.max_jitter.into_iter().fold(need, Connected::max_jitter);
-    of.max_loss.into_iter().fold(need, Connected::max_loss)
 }
 
 /// The plan of a node: the built-in one, the robot's, the node's, and those of its components.
