@@ -31,20 +31,19 @@ pub(super) async fn document(node: &Node) -> Value {
     #[cfg(not(feature = "network"))]
     let own = own.await;
     let (table, faults) = own;
-    let (seen_at, node_state) = (platform::now(), node.state());
-    let (state, reason) = match &node_state {
-        NodeState::Starting => ("starting", None),
-        NodeState::Running => ("running", None),
-        NodeState::InSafeState { reason } => ("in safe state", Some(reason)),
-        NodeState::Stopped => ("stopped", None),
-    };
+    let (seen_at, state) = (platform::now(), node.state());
     let faults = faults.as_ref();
     let entry = |entry: &FaultEntry| fault(entry, seen_at);
     let mut document = json!({
         "node": node.name().as_str(),
         "incarnation": node.incarnation().0,
-        "state": state,
-        "reason": reason,
+        "state": match state {
+            NodeState::Starting => "starting",
+            NodeState::Running => "running",
+            NodeState::InSafeState { .. } => "in safe state",
+            NodeState::Stopped => "stopped",
+        },
+        "reason": null,
         "table": table.as_deref().map(|rows| rows_of(rows, object)),
         "threads": rows_of(&node.threads(), thread),
         "actuators": rows_of(&node.actuators(), actuator),
@@ -54,6 +53,9 @@ pub(super) async fn document(node: &Node) -> Value {
         "faults": faults.map(|record| rows_of(&record.entries, entry)),
         "faults_dropped": faults.map(|record| record.dropped),
     });
+    if let NodeState::InSafeState { reason } = state {
+        document["reason"] = reason.into();
+    }
     #[cfg(feature = "trees")]
     {
         let change = |row: &TreeChangeRow| tree_change(row, seen_at);
