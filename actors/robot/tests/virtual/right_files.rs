@@ -362,7 +362,7 @@ fn a_node_from_a_file_has_the_tree_of_one_that_code_composes() {
     let types = types();
     let robot = load("tests/right/one.robot.xml", &[]);
     let composed = Node::builder("base")
-        .strategy(Strategy::RestForOne)
+        .root(SupervisorSpec::new("", Strategy::RestForOne))
         .supervisor(
             SupervisorSpec::new("drive", Strategy::OneForAll)
                 .intensity(5, 10 * SECOND)
