@@ -238,7 +238,10 @@ impl<'a> RobotChecker<'a> {
                 let key = error.key().to_owned();
                 let is_unknown = matches!(error, ParameterError::Unknown { .. });
                 let attribute = if is_unknown { "name" } else { "value" };
-                let (sentence, help) = (format!("of {name}, {error}"), "`describe` prints them");
+                let (sentence, help) = (
+                    format!("of {name}, {error}"),
+                    "correct it; the command `describe` prints what there is",
+                );
                 let part = ElementPart::below("param", "name", &key, attribute);
                 ("robot::parameter", (origin_of(name.as_str()), part), sentence, help.to_owned())
             }
