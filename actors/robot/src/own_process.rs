@@ -1,5 +1,5 @@
 //! Processes that run the robot's own program: each is a node of its own, joined to the node whose
-//! child it is by Unix sockets, and its components are addressed as those of any node.
+//! child it is by Unix sockets, and its components are found by their names alone.
 //!
 //! ```text
 //! <node name="base">                       node base ── component motors, the process
@@ -13,6 +13,8 @@ use crate::description::{
     ChildDescription, ComponentDescription, EndpointDescription, NodeDescription, RobotDescription,
     RobotNetwork, SupervisorDescription,
 };
+use blastema::NodeName;
+use blastema::core::port::PortAddress;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
@@ -22,7 +24,7 @@ pub(crate) fn run_arguments(file: &Path, set: &[(String, String)]) -> Vec<OsStri
     [OsString::from("run"), file.into()].into_iter().chain(set).collect()
 }
 
-/// Makes a node of each process that holds components.
+/// Makes a node of each process that holds components, and has addresses follow these.
 ///
 /// The processes run this program again with this file and these values of its arguments.
 pub(crate) fn make_nodes(robot: &mut RobotDescription, file: &Path, set: &[(String, String)]) {
@@ -67,6 +69,7 @@ pub(crate) fn make_nodes(robot: &mut RobotDescription, file: &Path, set: &[(Stri
         robot.nodes.extend(made);
         robot.networks.push(RobotNetwork { name: network, origin, ..RobotNetwork::default() });
     }
+    follow(robot);
 }
 
 /// Takes the nodes of processes out of a tree, each with the component that stands for it.
@@ -90,4 +93,59 @@ fn take_nodes<'a>(
 fn socket_of(robot: &str, node: &str) -> PathBuf {
     let user = rustix::process::geteuid().as_raw();
     blastema::runtime_folder().join(format!("blastema-{user}-{robot}-{node}.sock"))
+}
+
+/// Has addresses name the node, or the process of it, in which their component stands.
+fn follow(robot: &mut RobotDescription) {
+    let known = robot.clone();
+    let node_of = |node: &str, object: &str| match candidates(&known, node, object)[..] {
+        [only] if only != node => Some(only.to_owned()),
+        _ => None,
+    };
+    let port = |address: &mut PortAddress| {
+        let Some(node) = &address.node else { return };
+        let other = node_of(node.as_str(), address.object.as_str());
+        address.node = other.and_then(|other| NodeName::new(&other).ok()).or(address.node.take());
+    };
+    for connection in &mut robot.connections {
+        port(&mut connection.ports.from);
+        port(&mut connection.ports.to);
+    }
+    for node in &mut robot.nodes {
+        let rungs = node.lost_communication.iter_mut().flat_map(|policy| &mut policy.rungs);
+        rungs.flat_map(|rung| &mut rung.commands).for_each(|command| port(&mut command.actuator));
+        let own = node.name.clone();
+        node.root.retain(&mut |child| {
+            let ChildDescription::Component(component) = child else { return true };
+            for needed in &mut component.depends_on {
+                let (node, object) = needed.split_once(':').unwrap_or((&own, needed));
+                let is_it = |child: &ChildDescription| child.identity().0 == object;
+                if known.node(node).is_some_and(|node| node.root.any(&is_it)) {
+                    continue;
+                }
+                if let Some(other) = node_of(node, object) {
+                    *needed = format!("{other}:{object}");
+                }
+            }
+            true
+        });
+    }
+}
+
+/// The node, if it has a component of this name with ports, or else those of its family that have
+/// one: the processes of one node, and that node.
+pub(crate) fn candidates<'r>(
+    robot: &'r RobotDescription,
+    node: &'r str,
+    object: &str,
+) -> Vec<&'r str> {
+    let is_it = |child: &ChildDescription| match child {
+        ChildDescription::Component(known) => known.name == object && known.process.is_none(),
+        ChildDescription::Supervisor(_) => false,
+    };
+    let whole = robot.whole_of(node);
+    let having = robot.nodes.iter().filter(|known| known.root.any(&is_it));
+    let names = having.map(|known| &*known.name).filter(|of| robot.whole_of(of) == whole);
+    let names: Vec<_> = names.collect();
+    if names.contains(&node) { vec![node] } else { names }
 }

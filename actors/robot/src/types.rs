@@ -5,6 +5,7 @@ use crate::description::{
     LostCommunicationDescription, NodeDescription, RobotDescription, RobotNetwork,
     SupervisorDescription,
 };
+use crate::own_process::candidates;
 use crate::reader::RUNGS;
 use crate::value::{ParsedValue, ValueError, hint, word_of};
 use blastema::core::port::{
@@ -438,15 +439,19 @@ impl Types {
         let (components, object) = (node.components(), address.object.as_str());
         let component = components.iter().find(|known| known.name == object).ok_or_else(|| {
             let known = components.iter().map(|known| known.name.as_str());
-            unknown(format!("node {name} has no component `{object}`"), object, known)
+            let sentence = format!("node {name} has no component `{object}`");
+            match &candidates(robot, name, object)[..] {
+                [] => unknown(sentence, object, known),
+                several => {
+                    let places = several.iter().map(|node| format!("`{node}:{object}`"));
+                    let help = format!("write {}", places.collect::<Vec<_>>().join(" or "));
+                    ValueError::new(sentence, "in several processes", help)
+                }
+            }
         })?;
         for (is_it, label, help) in [
             (component.tree.is_some(), "a tree", "let its leaves name what they use"),
-            (
-                component.process.is_some(),
-                "a process",
-                "name its node, as in `process:component#port`",
-            ),
+            (component.process.is_some(), "a process", "connect components, or write a node"),
         ] {
             if is_it {
                 let sentence = format!("{object} is {label}, and has no ports");

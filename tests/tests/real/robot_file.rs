@@ -462,7 +462,7 @@ fn a_sealed_robot_of_two_nodes_runs_from_a_file() {
 }
 
 #[test]
-fn what_stands_in_a_process_is_reached_over_its_node_also_sealed() {
+fn what_moves_into_a_process_is_reached_by_its_name_over_its_node_also_sealed() {
     let _turn = blastema_doubles::turn();
     for (is_sealed, is_nested) in [(false, false), (true, false), (false, true)] {
         let folder = tempfile::tempdir().expect("a folder");
@@ -483,8 +483,7 @@ fn what_stands_in_a_process_is_reached_over_its_node_also_sealed() {
                 (head, "[left] [head] [eye] counter ends")
             }
         };
-        let text = text.replace(counter, &process).replace("left:counter#", "eye:counter#");
-        fs::write(&file, text).expect("it can be written");
+        fs::write(&file, text.replace(counter, &process)).expect("it can be written");
 
         let mut robot = RunningRobot::start(&file, &["--set", "rate=50Hz"]);
         robot.until("[right] heard 3");
