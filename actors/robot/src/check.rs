@@ -343,7 +343,7 @@ impl<'a> RobotChecker<'a> {
         false
     }
 
-    /// A path as it is shown: from the folder of the robot's file.
+    /// A path as it is shown: from the folder of the outermost file.
     fn shown(&self, path: &str) -> String {
         let outermost = self.files.first().and_then(|(name, _)| fs::canonicalize(name).ok());
         let folder = outermost.as_deref().and_then(Path::parent);

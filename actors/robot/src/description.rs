@@ -7,12 +7,12 @@ use blastema::{ActuatorSettings, ClaimPolicy, Connected, FaultKind, ProcessSpec,
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// The place of an element in the robot's file. It is no part of what is described: descriptions
+/// The place of an element in the robot's files. It is no part of what is described: descriptions
 /// that differ in their places alone are equal.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ElementOrigin {
-    /// The byte at which the element begins; `None` for what code describes.
-    pub(crate) at: Option<usize>,
+    /// The file and the byte at which the element begins; `None` for what code describes.
+    pub(crate) at: Option<(usize, usize)>,
 }
 
 impl PartialEq for ElementOrigin {

@@ -21,15 +21,16 @@ pub(crate) struct ArgumentValues {
     pub(crate) missing: Vec<String>,
 }
 
-/// What the elements of a file share.
+/// What the elements of one file share.
 pub(crate) struct FileReading<'a> {
+    pub(crate) file: usize,
     pub(crate) text: &'a str,
-    /// The folder of the file, at which paths begin.
+    /// The folder of the outermost file, at which paths begin.
     pub(crate) root: &'a Path,
-    pub(crate) findings: RefCell<Vec<RobotFinding>>,
+    pub(crate) findings: &'a RefCell<Vec<RobotFinding>>,
     pub(crate) arguments: RefCell<ArgumentValues>,
     /// How many components have been read.
-    pub(crate) components: Cell<usize>,
+    pub(crate) components: &'a Cell<usize>,
 }
 
 /// An element that is being read.
@@ -58,7 +59,7 @@ impl<'a> RobotElement<'a> {
     }
 
     pub(crate) fn origin(&self) -> ElementOrigin {
-        ElementOrigin { at: Some(self.node.range().start) }
+        ElementOrigin { at: Some((self.reading.file, self.node.range().start)) }
     }
 
     /// The value of an attribute; `None` where it is absent or wrong.
@@ -96,12 +97,7 @@ impl<'a> RobotElement<'a> {
         self.take(name, parse)
     }
 
-    /// Gives the arguments of the file their values.
-    pub(crate) fn declare(&self, arguments: ArgumentValues) {
-        self.reading.arguments.replace(arguments);
-    }
-
-    /// The folder of the file.
+    /// The folder of the outermost file.
     pub(crate) fn folder(&self) -> &'a Path {
         self.reading.root
     }
@@ -165,7 +161,8 @@ impl<'a> RobotElement<'a> {
 
     fn twice(&self, sentence: String, [first, again]: [Range<usize>; 2]) {
         let at = [(first, "first".to_owned()), (again, "again".to_owned())];
-        let labels = at.into_iter().map(|(range, label)| (FilePlace { file: 0, range }, label));
+        let file = self.reading.file;
+        let labels = at.into_iter().map(|(range, label)| (FilePlace { file, range }, label));
         let (labels, help) = (labels.collect(), "delete one".to_owned());
         self.add(RobotFinding { code: "robot::twice", sentence, help, labels });
     }
@@ -197,7 +194,7 @@ impl<'a> RobotElement<'a> {
     /// Adds a finding about a place in this element.
     pub(crate) fn find(&self, code: &'static str, range: Range<usize>, error: ValueError) {
         let ValueError { sentence, label, help } = error;
-        let labels = vec![(FilePlace { file: 0, range }, label)];
+        let labels = vec![(FilePlace { file: self.reading.file, range }, label)];
         self.add(RobotFinding { code, sentence, help, labels });
     }
 

@@ -74,44 +74,60 @@ impl ElementPart {
     }
 }
 
-/// The robot's file, and those of its trees.
+/// The robot's files.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct RobotSources {
-    /// Names and texts, the robot's own first.
+    /// Names and texts, the outermost file first.
     pub(crate) files: Vec<(String, Arc<str>)>,
+}
+
+impl RobotSources {
+    /// The line and column of a place, counted from 1.
+    pub(crate) fn position(&self, place: &FilePlace) -> (usize, usize) {
+        let before = &self.files[place.file].1[..place.range.start];
+        let start = before.rfind('\n').map_or(0, |end| end + 1);
+        (before.matches('\n').count() + 1, before[start..].chars().count() + 1)
+    }
+
+    fn name(&self, place: &FilePlace) -> String {
+        let (line, column) = self.position(place);
+        format!("{}:{line}:{column}", self.files[place.file].0)
+    }
 }
 
 /// Finds the parts of elements again that descriptions were read from.
 pub(crate) struct ElementPlaces<'s> {
-    document: Option<Document<'s>>,
-    /// Elements by their first byte.
-    elements: BTreeMap<usize, NodeId>,
+    documents: Vec<Document<'s>>,
+    /// Elements by file and first byte.
+    elements: BTreeMap<(usize, usize), NodeId>,
 }
 
 impl<'s> ElementPlaces<'s> {
-    /// Reads the file again.
+    /// Reads the files again.
     pub(crate) fn of(sources: &'s RobotSources) -> Self {
-        let text = sources.files.first().map(|(_, text)| text);
-        let document = text.and_then(|text| Document::parse(text).ok());
-        let nodes = document.iter().flat_map(|document| document.descendants());
-        let elements = nodes.filter(Node::is_element).map(|node| (node.range().start, node.id()));
-        let elements = elements.collect();
-        ElementPlaces { document, elements }
-    }
-
-    fn element(&self, origin: ElementOrigin) -> Option<Node<'_, 's>> {
-        self.document.as_ref()?.get_node(*self.elements.get(&origin.at?)?)
+        let documents = sources.files.iter().filter_map(|(_, text)| Document::parse(text).ok());
+        let documents: Vec<_> = documents.collect();
+        let mut elements = BTreeMap::new();
+        for (file, document) in documents.iter().enumerate() {
+            for node in document.descendants().filter(Node::is_element) {
+                elements.insert((file, node.range().start), node.id());
+            }
+        }
+        ElementPlaces { documents, elements }
     }
 
     /// Whether a place is in an element.
     pub(crate) fn holds(&self, origin: ElementOrigin, place: &FilePlace) -> bool {
-        let element = self.element(origin);
-        place.file == 0 && element.is_some_and(|of| of.range().contains(&place.range.start))
+        let Some((file, at)) = origin.at else { return false };
+        let element = self.documents.get(file).zip(self.elements.get(&(file, at)));
+        let element = element.and_then(|(document, id)| document.get_node(*id));
+        place.file == file && element.is_some_and(|of| of.range().contains(&place.range.start))
     }
 
     /// The place of a part; `None` for what code describes.
     pub(crate) fn find(&self, origin: ElementOrigin, part: &ElementPart) -> Option<FilePlace> {
-        let element = self.element(origin)?;
+        let (file, at) = origin.at?;
+        let element = self.documents.get(file)?.get_node(*self.elements.get(&(file, at))?)?;
         let is_it = |node: &Node<'_, '_>| match &part.below {
             None => true,
             Some((name, None)) => node.has_tag_name(name.as_str()),
@@ -120,7 +136,7 @@ impl<'s> ElementPlaces<'s> {
             }
         };
         let element = element.descendants().find(is_it).unwrap_or(element);
-        Some(FilePlace { file: 0, range: value_place(element, &part.attribute) })
+        Some(FilePlace { file, range: value_place(element, &part.attribute) })
     }
 }
 
@@ -155,17 +171,21 @@ pub(crate) fn report(findings: &[RobotFinding], sources: &RobotSources) -> Strin
     text
 }
 
-/// A finding as miette renders it, with an excerpt of the file that its places are in.
+/// A finding as miette renders it. An excerpt is of one file: the help names places in others.
 fn shown(finding: &RobotFinding, sources: &RobotSources) -> Report {
-    let labels = finding
-        .labels
-        .iter()
+    let file = finding.labels.first().map(|(place, _)| place.file);
+    let (here, elsewhere): (Vec<_>, Vec<_>) =
+        finding.labels.iter().partition(|(place, _)| Some(place.file) == file);
+    let labels = here
+        .into_iter()
         .map(|(place, label)| LabeledSpan::new_with_span(Some(label.clone()), place.range.clone()));
-    let shown = MietteDiagnostic::new(&finding.sentence)
-        .with_code(finding.code)
-        .with_labels(labels)
-        .with_help(&finding.help);
-    match finding.labels.first().map(|(place, _)| &sources.files[place.file]) {
+    let elsewhere =
+        elsewhere.into_iter().map(|(place, label)| format!("{label}: {}", sources.name(place)));
+    let help = std::iter::once(finding.help.clone()).chain(elsewhere);
+    let mut shown =
+        MietteDiagnostic::new(&finding.sentence).with_code(finding.code).with_labels(labels);
+    shown.help = Some(help.collect::<Vec<_>>().join("\n"));
+    match file.map(|file| &sources.files[file]) {
         Some((name, text)) => {
             Report::new(shown).with_source_code(NamedSource::new(name, text.clone()))
         }

@@ -1,4 +1,4 @@
-//! Reads a robot file into a description.
+//! Reads a robot file, and the files that it includes, into a description.
 
 use crate::description::{
     AnswerDescription, ChildDescription, CommandDescription, ComponentDescription,
@@ -16,7 +16,8 @@ use blastema::recovery::{Backoff, Ladder, RecoveryAction, Restart, Strategy, Whe
 use blastema::trees::byte_at;
 use blastema::{ActuatorSettings, ClaimPolicy, Connected, NodeName, ProcessSpec, WhenFull};
 use roxmltree::{Document, Error, ParsingOptions};
-use std::path::Path;
+use std::cell::{Cell, RefCell};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::{env, fmt, fs};
 
@@ -24,6 +25,8 @@ use std::{env, fmt, fs};
 const FILE_MAX: usize = 1 << 20;
 /// Findings show whole lines.
 const LINE_MAX: usize = 4096;
+const FILES_MAX: usize = 64;
+const DEPTH_MAX: usize = 8;
 /// Ten thousand components with all their attributes.
 const NODES_MAX: u32 = 200_000;
 /// Of the whole robot: as many as one computer starts in seconds.
@@ -45,23 +48,26 @@ pub(crate) struct RobotReading {
 pub(crate) fn read(path: &Path, set: &[(String, String)]) -> Result<RobotReading, String> {
     let unreadable = |error: &dyn fmt::Display| format!("{}: {error}", path.display());
     let absolute = fs::canonicalize(path).map_err(|error| unreadable(&error))?;
-    let text: Arc<str> = read_text(&absolute).map_err(|error| unreadable(&error))?.into();
-    let sources = RobotSources { files: vec![(path.display().to_string(), text.clone())] };
-    let options = ParsingOptions { nodes_limit: NODES_MAX, ..ParsingOptions::default() };
-    let document = match Document::parse_with_options(&text, options) {
-        Ok(document) => document,
-        Err(error) => {
-            let findings = vec![syntax_finding(&text, &error)];
-            return Ok(RobotReading { sources, findings, ..RobotReading::default() });
-        }
+    let text = read_text(&absolute).map_err(|error| unreadable(&error))?;
+    let folder = absolute.parent().unwrap_or(Path::new("/")).to_owned();
+    let (findings, components) = Default::default();
+    let mut reader = RobotReader {
+        robot: RobotDescription::default(),
+        sources: RobotSources::default(),
+        findings: &findings,
+        components: &components,
+        root: folder,
+        open: Vec::new(),
     };
-    let (findings, arguments, components) = Default::default();
-    let root = absolute.parent().unwrap_or(Path::new("/"));
-    let reading = FileReading { text: &text, root, findings, arguments, components };
-    let mut robot = RobotDescription::default();
-    read_robot(&RobotElement::new(document.root_element(), &reading, None), set, &mut robot);
+    reader.read_file(
+        path.display().to_string(),
+        absolute.clone(),
+        text.into(),
+        &ArgumentSource::Outer(set),
+    );
+    let RobotReader { mut robot, sources, .. } = reader;
     make_nodes(&mut robot, &absolute, set);
-    Ok(RobotReading { robot, sources, findings: reading.findings.into_inner() })
+    Ok(RobotReading { robot, sources, findings: findings.into_inner() })
 }
 
 fn read_text(path: &Path) -> Result<String, String> {
@@ -70,10 +76,7 @@ fn read_text(path: &Path) -> Result<String, String> {
         return Err("it is no regular file".to_owned());
     }
     if about.len() > FILE_MAX as u64 {
-        return Err(
-            "it has more than 1 MiB: write less, such as `copies` of components that are alike"
-                .to_owned(),
-        );
+        return Err("it has more than 1 MiB: divide it by `<include file=…/>`".to_owned());
     }
     let text = fs::read_to_string(path).map_err(|error| error.to_string())?;
     match text.lines().position(|line| line.len() > LINE_MAX) {
@@ -82,85 +85,174 @@ fn read_text(path: &Path) -> Result<String, String> {
     }
 }
 
-fn read_robot(root: &RobotElement<'_>, set: &[(String, String)], robot: &mut RobotDescription) {
-    let namespace = root.node.tag_name().namespace();
-    if root.name() != "robot" || namespace.is_some() {
-        let namespace = namespace.map(|of| format!(" of the namespace `{of}`"));
-        let (name, namespace) = (root.name(), namespace.unwrap_or_default());
-        let sentence = format!("a robot file begins with `robot`, not with `{name}`{namespace}");
-        root.find(
-            "robot::schema",
-            crate::finding::tag_name(root.node),
-            ValueError::new(sentence, "here", "write `<robot …>`"),
-        );
-        return root.leave();
-    }
-    let schema = root.need("schema", value::count::<u32>);
-    if let Some(schema) = schema.filter(|schema| *schema != SCHEMA) {
-        let sentence = format!("this file has schema {schema}, and this program reads {SCHEMA}");
-        let help = format!("write `{SCHEMA}`, and what that schema has");
-        root.find(
-            "robot::schema",
-            root.place("schema"),
-            ValueError::new(sentence, "written for another version", help),
-        );
-        return root.leave();
-    }
-    root.declare(arguments(root, set));
-    robot.name = root.need("name", value::node_name).unwrap_or_default();
-    robot.program = root.path("program");
-    robot.keys = root.path("keys");
-    robot.origin = root.origin();
-    for element in root.children("network plan node connect") {
-        match element.name() {
-            "network" => robot.networks.push(network(&element)),
-            "plan" => robot.plan.extend(answers(&element)),
-            "node" => robot.nodes.push(node(&element, &mut robot.connections)),
-            _ => robot.connections.extend(connection(&element, None)),
-        }
-    }
+/// Where the values of a file's arguments come from, beside their defaults.
+enum ArgumentSource<'a> {
+    /// The command line, and then the environment.
+    Outer(&'a [(String, String)]),
+    /// The element `include`.
+    Include(&'a [(String, String)]),
 }
 
-/// A node. Its connections are the robot's.
-fn node(
-    element: &RobotElement<'_>,
-    connections: &mut Vec<ConnectionDescription>,
-) -> NodeDescription {
-    let name = element.need("name", value::node_name).unwrap_or_default();
-    let mut node = NodeDescription {
-        keys: element.path("keys"),
-        safe_outputs: element.take("safe-outputs", value::text),
-        work_threads: element.take("work-threads", value::count),
-        may_be_away: element.take("may-be-away", value::flag).unwrap_or_default(),
-        locked_memory: element.take("locked-memory", value::flag).unwrap_or_default(),
-        grace: element.take("grace", value::duration),
-        shown_at: element.path("shown-at"),
-        keep_variables: element.path("keep-variables"),
-        origin: element.origin(),
-        root: SupervisorDescription { origin: element.origin(), ..rules(element) },
-        name,
-        ..NodeDescription::default()
-    };
-    for element in element.children(NODE_CHILDREN) {
-        match element.name() {
-            "lost-communication" => {
-                node.lost_communication.push(lost_communication(&element, &node.name));
+struct RobotReader<'a> {
+    robot: RobotDescription,
+    sources: RobotSources,
+    findings: &'a RefCell<Vec<RobotFinding>>,
+    components: &'a Cell<usize>,
+    /// The folder of the outermost file.
+    root: PathBuf,
+    /// The files that include each other, the outermost first.
+    open: Vec<PathBuf>,
+}
+
+impl RobotReader<'_> {
+    fn read_file(&mut self, name: String, path: PathBuf, text: Arc<str>, set: &ArgumentSource<'_>) {
+        let file = self.sources.files.len();
+        self.sources.files.push((name, text.clone()));
+        let options = ParsingOptions { nodes_limit: NODES_MAX, ..ParsingOptions::default() };
+        let document = match Document::parse_with_options(&text, options) {
+            Ok(document) => document,
+            Err(error) => {
+                return self.findings.borrow_mut().push(syntax_finding(file, &text, &error));
             }
-            "endpoint" => node.endpoints.push(endpoint(&element)),
-            "plan" => node.plan.extend(answers(&element)),
-            "connect" => connections.extend(connection(&element, Some(&node.name))),
-            _ => child(&element, &mut node.root.children),
+        };
+        let folder = self.root.clone();
+        let reading = FileReading {
+            file,
+            text: &text,
+            root: &folder,
+            findings: self.findings,
+            arguments: RefCell::default(),
+            components: self.components,
+        };
+        let root = RobotElement::new(document.root_element(), &reading, None);
+        let namespace = root.node.tag_name().namespace();
+        if root.name() != "robot" || namespace.is_some() {
+            let namespace = namespace.map(|of| format!(" of the namespace `{of}`"));
+            let (name, namespace) = (root.name(), namespace.unwrap_or_default());
+            let sentence =
+                format!("a robot file begins with `robot`, not with `{name}`{namespace}");
+            root.find(
+                "robot::schema",
+                crate::finding::tag_name(root.node),
+                ValueError::new(sentence, "here", "write `<robot …>`"),
+            );
+            return root.leave();
+        }
+        self.open.push(path);
+        self.robot(&root, &reading, set);
+        self.open.pop();
+    }
+
+    fn robot(
+        &mut self,
+        root: &RobotElement<'_>,
+        reading: &FileReading<'_>,
+        set: &ArgumentSource<'_>,
+    ) {
+        let schema = root.need("schema", value::count::<u32>);
+        if let Some(schema) = schema.filter(|schema| *schema != SCHEMA) {
+            let sentence =
+                format!("this file has schema {schema}, and this program reads {SCHEMA}");
+            let help = format!("write `{SCHEMA}`, and what that schema has");
+            root.find(
+                "robot::schema",
+                root.place("schema"),
+                ValueError::new(sentence, "written for another version", help),
+            );
+            return root.leave();
+        }
+        *reading.arguments.borrow_mut() = arguments(root, set);
+        let name = root.need("name", value::node_name).unwrap_or_default();
+        if let ArgumentSource::Outer(_) = set {
+            self.robot.name = name;
+            self.robot.program = root.path("program");
+            self.robot.keys = root.path("keys");
+            self.robot.origin = root.origin();
+        }
+        for element in root.children("include network plan node connect") {
+            match element.name() {
+                "include" => self.include(&element),
+                "network" => self.robot.networks.push(network(&element)),
+                "plan" => self.robot.plan.extend(answers(&element)),
+                "node" => self.node(&element),
+                _ => self.robot.connections.extend(connection(&element, None)),
+            }
         }
     }
-    node
+
+    fn include(&mut self, element: &RobotElement<'_>) {
+        let set = texts(element.distinct("set", "argument"), ["argument", "value"]);
+        let Some(name) = element.need("file", value::text) else { return };
+        let wrong = |sentence: String, help: &str| {
+            element.find(
+                "robot::include",
+                element.place("file"),
+                ValueError::new(sentence, "here", help),
+            );
+        };
+        let from = self.open.last().and_then(|open| open.parent()).unwrap_or(&self.root);
+        let path = match fs::canonicalize(from.join(&name)) {
+            Ok(path) => path,
+            Err(error) => return wrong(format!("`{name}`: {error}"), "correct the path"),
+        };
+        if !path.starts_with(&self.root) {
+            let help = "move it there: a robot's files stand below the folder of the outermost one";
+            return wrong(format!("`{name}` is not below the folder of the robot"), help);
+        }
+        if self.open.contains(&path) {
+            return wrong(format!("`{name}` includes itself"), "delete one of the includes");
+        }
+        if self.open.len() >= DEPTH_MAX || self.sources.files.len() >= FILES_MAX {
+            let sentence = format!("more than {FILES_MAX} files, or {DEPTH_MAX} within each other");
+            return wrong(sentence, "join some of them");
+        }
+        let shown = path.strip_prefix(&self.root).unwrap_or(&path).display().to_string();
+        match read_text(&path) {
+            Ok(text) => self.read_file(shown, path, text.into(), &ArgumentSource::Include(&set)),
+            Err(error) => wrong(format!("`{name}`: {error}"), "correct the file"),
+        }
+    }
+
+    fn node(&mut self, element: &RobotElement<'_>) {
+        let name = element.need("name", value::node_name).unwrap_or_default();
+        let mut node = NodeDescription {
+            keys: element.path("keys"),
+            safe_outputs: element.take("safe-outputs", value::text),
+            work_threads: element.take("work-threads", value::count),
+            may_be_away: element.take("may-be-away", value::flag).unwrap_or_default(),
+            locked_memory: element.take("locked-memory", value::flag).unwrap_or_default(),
+            grace: element.take("grace", value::duration),
+            shown_at: element.path("shown-at"),
+            keep_variables: element.path("keep-variables"),
+            origin: element.origin(),
+            root: SupervisorDescription { origin: element.origin(), ..rules(element) },
+            name,
+            ..NodeDescription::default()
+        };
+        for element in element.children(NODE_CHILDREN) {
+            match element.name() {
+                "lost-communication" => {
+                    node.lost_communication.push(lost_communication(&element, &node.name));
+                }
+                "endpoint" => node.endpoints.push(endpoint(&element)),
+                "plan" => node.plan.extend(answers(&element)),
+                "connect" => self.robot.connections.extend(connection(&element, Some(&node.name))),
+                _ => child(&element, &mut node.root.children),
+            }
+        }
+        self.robot.nodes.push(node);
+    }
 }
 
 /// Whether a text is a value of a type of arguments.
 type CheckValue = fn(&str) -> ParsedValue<()>;
 
 /// The arguments of a file with their values.
-fn arguments(root: &RobotElement<'_>, set: &[(String, String)]) -> ArgumentValues {
+fn arguments(root: &RobotElement<'_>, set: &ArgumentSource<'_>) -> ArgumentValues {
     let mut arguments = ArgumentValues::default();
+    let given = match set {
+        ArgumentSource::Outer(given) | ArgumentSource::Include(given) => *given,
+    };
     for element in root.distinct("argument", "name") {
         let kinds: [(&str, CheckValue); 5] = [
             ("text", |_| Ok(())),
@@ -174,8 +266,10 @@ fn arguments(root: &RobotElement<'_>, set: &[(String, String)]) -> ArgumentValue
         let default = element.take("default", value::text);
         let Some(name) = element.need("name", value::node_name) else { continue };
         let variable = format!("BLASTEMA_ARG_{}", name.to_uppercase().replace(['-', '.'], "_"));
-        let told = set.iter().rev().find(|(key, _)| *key == name).map(|(_, value)| value.clone());
-        let value = told.or_else(|| env::var(&variable).ok()).or(default);
+        let told = given.iter().rev().find(|(key, _)| *key == name).map(|(_, value)| value.clone());
+        let environment =
+            || env::var(&variable).ok().filter(|_| matches!(set, ArgumentSource::Outer(_)));
+        let value = told.or_else(environment).or(default);
         match value.map(|value| (kind.map_or(Ok(()), |check| check(&value)), value)) {
             Some((Ok(()), value)) => drop(arguments.values.insert(name, value)),
             Some((Err(error), value)) => {
@@ -188,7 +282,13 @@ fn arguments(root: &RobotElement<'_>, set: &[(String, String)]) -> ArgumentValue
                 arguments.missing.push(name);
             }
             None => {
-                let help = format!("give it by `--set {name}=…` or {variable}, or add `default`");
+                let how = match set {
+                    ArgumentSource::Outer(_) => format!("`--set {name}=…` or {variable}"),
+                    ArgumentSource::Include(_) => {
+                        format!("`<set argument=\"{name}\" value=…/>` in the `include`")
+                    }
+                };
+                let help = format!("give it by {how}, or add `default`");
                 element.find(
                     "robot::argument",
                     element.place("name"),
@@ -198,7 +298,7 @@ fn arguments(root: &RobotElement<'_>, set: &[(String, String)]) -> ArgumentValue
             }
         }
     }
-    for (name, _) in set {
+    for (name, _) in given {
         let declared = arguments.values.keys().chain(&arguments.missing).map(String::as_str);
         if !declared.clone().any(|known| known == name) {
             let help = hint(name, declared);
@@ -658,7 +758,7 @@ fn answer(element: &RobotElement<'_>) -> Option<AnswerDescription> {
 }
 
 /// What the parser says of a file that is no XML.
-fn syntax_finding(text: &str, error: &Error) -> RobotFinding {
+fn syntax_finding(file: usize, text: &str, error: &Error) -> RobotFinding {
     let position = error.pos();
     let at = byte_at(text, position.row as usize, position.col as usize);
     let (sentence, help) = match error {
@@ -668,13 +768,13 @@ fn syntax_finding(text: &str, error: &Error) -> RobotFinding {
         ),
         Error::DtdDetected => (
             "a robot file has no document type".to_owned(),
-            "delete it; `<argument>` is for what repeats".to_owned(),
+            "delete it; `<argument>` is for what repeats, `<include>` for other files".to_owned(),
         ),
         error => {
             (format!("no XML: {error}"), "correct what stands here, or just before".to_owned())
         }
     };
     let range = at.min(text.len())..(at + 1).min(text.len());
-    let labels = vec![(FilePlace { file: 0, range }, "here".to_owned())];
+    let labels = vec![(FilePlace { file, range }, "here".to_owned())];
     RobotFinding { code: "robot::xml", sentence, help, labels }
 }
