@@ -78,6 +78,7 @@ Exit status:
 const ROBOT_HELP: &str = "\
 Examples:
   blastema check ranger.robot.xml
+  blastema graph ranger.robot.xml --format dot | dot -Tsvg
   blastema run ranger.robot.xml --set lidar=/dev/pts/7
 
 The exit status is that of the program: 0 it was done, 1 the file has a mistake or the robot did not
@@ -153,6 +154,9 @@ pub(crate) enum Subcommand {
     /// Find all mistakes in a robot file, by the robot's program
     #[command(after_help = ROBOT_HELP)]
     Check(RobotOptions),
+    /// Print the supervision trees and connections of a robot file, by the robot's program
+    #[command(after_help = ROBOT_HELP)]
+    Graph(RobotOptions),
     /// Start the nodes of a robot file, by the robot's program
     #[command(after_help = ROBOT_HELP)]
     Run(RobotOptions),

@@ -3,7 +3,7 @@
 //! `blastema monitor` shows the state of a running node, `blastema fault list` its faults, also
 //! those of earlier runs. `blastema tree model` prints what editors of behaviour trees load,
 //! `blastema keys` makes the keys of a robot's nodes, `blastema node` gives them orders, and
-//! `blastema component` their components. `blastema check` and `run` start the program of
+//! `blastema component` their components. `blastema check`, `graph` and `run` start the program of
 //! a robot file, and `blastema new` writes a robot. Exit status: 0 it was done, 1 only a part of
 //! it, 2 it could not be done.
 
@@ -41,6 +41,7 @@ fn main() -> ExitCode {
             operator::component::acknowledge(policy.as_deref(), &to).map(|()| true)
         }
         Subcommand::Check(options) => robot::run("check", &options),
+        Subcommand::Graph(options) => robot::run("graph", &options),
         Subcommand::Run(options) => robot::run("run", &options),
         Subcommand::Schema => print(blastema_robot::XSD).map(|()| true),
         Subcommand::New(options) => robot::new(&options).map(|()| true),

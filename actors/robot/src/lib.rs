@@ -21,6 +21,7 @@ pub mod description;
 mod check;
 mod element;
 mod finding;
+mod graph;
 mod launch;
 mod own_process;
 mod program;

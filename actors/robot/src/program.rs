@@ -1,8 +1,9 @@
-//! The program of a robot: `run`, `check` and `describe`.
+//! The program of a robot: `run`, `check`, `graph` and `describe`.
 
 use crate::check::check;
 use crate::description::RobotDescription;
 use crate::finding::{RobotFinding, report};
+use crate::graph::{GraphFormat, graph};
 use crate::launch::{FAILED, Launch, LaunchFailure, NOT_UP};
 use crate::own_process::run_arguments;
 use crate::reader::{self, RobotReading};
@@ -81,6 +82,14 @@ enum RobotCommand {
     Check {
         #[command(flatten)]
         file: FileArguments,
+    },
+    /// Prints the supervision trees and the connections
+    Graph {
+        #[command(flatten)]
+        file: FileArguments,
+        /// The format of the graph
+        #[arg(long, value_enum, default_value = "text")]
+        format: GraphFormat,
     },
     /// Prints the registered types with their parameters and ports as JSON
     Describe,
@@ -162,12 +171,13 @@ impl Types {
         }
     }
 
-    /// Reads the command line `run | check | describe`, and does what it says.
+    /// Reads the command line `run | check | graph | describe`, and does what it says.
     ///
     /// | command | does |
     /// | --- | --- |
     /// | `run FILE [--node NAME] [--set NAME=VALUE]…` | starts the node, or the only one; without `--node` all of them, each as a process, where all endpoints are on this computer |
     /// | `check FILE [--set …]` | prints all mistakes |
+    /// | `graph FILE [--format text\|dot\|mermaid]` | prints the trees and the connections |
     /// | `describe` | prints the types as JSON |
     ///
     /// It returns 0, 1 where the file has a mistake or the robot did not run to its end, 2 where
@@ -187,6 +197,9 @@ impl Types {
                 let (name, nodes) = (&robot.name, robot.nodes.len());
                 print(&format!("{name}: {nodes} nodes, {components} components, no mistake\n"))
             }),
+            RobotCommand::Graph { file, format } => {
+                self.with_robot(&file, |robot| print(&graph(&robot, format)))
+            }
             RobotCommand::Describe => print(&self.describe()),
         }
     }

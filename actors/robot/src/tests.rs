@@ -133,3 +133,18 @@ fn the_schema_has_the_defaults_of_the_code() {
     ];
     assert_eq!(of_schema, of_code.map(|(name, value)| (name.to_owned(), value)).into());
 }
+
+#[test]
+fn a_robot_is_drawn_as_text_for_graphviz_and_for_mermaid() {
+    use crate::graph::{GraphFormat, graph};
+    let reading = read(Path::new("tests/right/whole.robot.xml"), &[]).expect("it can be read");
+    for (format, end) in
+        [(GraphFormat::Text, "txt"), (GraphFormat::Dot, "dot"), (GraphFormat::Mermaid, "mmd")]
+    {
+        let (drawn, path) = (graph(&reading.robot, format), format!("tests/right/whole.{end}"));
+        if std::env::var_os("BLASTEMA_BLESS").is_some() {
+            std::fs::write(&path, &drawn).expect("it can be written");
+        }
+        assert_eq!(drawn, std::fs::read_to_string(&path).unwrap_or_default(), "{path}");
+    }
+}

@@ -544,7 +544,7 @@ fn far_nodes_are_started_one_by_one_and_the_error_lists_them() {
 }
 
 #[test]
-fn check_and_describe_say_what_there_is() {
+fn check_graph_and_describe_say_what_there_is() {
     let _turn = blastema_doubles::turn();
     let folder = tempfile::tempdir().expect("a folder");
     let file = two_nodes(folder.path(), "", ["", ""], "many");
@@ -563,6 +563,10 @@ fn check_and_describe_say_what_there_is() {
     let errors = String::from_utf8_lossy(&described.stderr);
     assert_eq!(described.status.code(), Some(1), "{errors}");
     assert!(errors.starts_with("standard output: "), "{errors}");
+
+    fs::write(&file, fs::read_to_string(&file).unwrap().replace("many", "0")).unwrap();
+    let drawn = run(&["graph", &file, "--format", "dot"]);
+    assert!(text(&drawn).contains("\"left:counter\" -> \"right:display\" [label=\"count\"];"));
 
     let types: serde_json::Value = serde_json::from_str(&text(&run(&["describe"]))).unwrap();
     assert_eq!(types["types"]["Display"]["parameters"][0]["name"], "dies_at");

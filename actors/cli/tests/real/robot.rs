@@ -33,7 +33,7 @@ fn the_program_of_a_robot_file_is_started_with_its_options_and_gives_its_status(
     assert_eq!(output.status.code(), Some(1), "{text}");
     assert!(text.contains("a.xml names no program: add `program="), "{text}");
     write(" program=\"./none\"");
-    let (_, text) = blastema(folder.path(), &["check", "a.xml"]);
+    let (_, text) = blastema(folder.path(), &["graph", "a.xml"]);
     assert!(text.contains("none of the file does not start"), "{text}");
     std::os::unix::fs::symlink(env!("CARGO_BIN_EXE_blastema"), folder.path().join("own"))
         .expect("a link");
