@@ -25,14 +25,14 @@ impl Drop for Heartbeats {
     }
 }
 
-/// Adds a component of the node whenever this holds, and removes it when it does no longer.
+/// Adds a component of the node whenever this holds, and removes it, whose name is given while it
+/// runs, when it does no longer.
 pub(super) async fn keep_while<C: Component, S>(
     node: NodeSlot,
     mut status: watch::Receiver<S>,
     holds: impl Fn(&S) -> bool,
-    spec: impl Fn() -> ChildSpec<C>,
+    (mut running, spec): (Option<String>, impl Fn() -> ChildSpec<C>),
 ) {
-    let mut running: Option<String> = None;
     loop {
         let wanted = holds(&status.borrow_and_update());
         if wanted != running.is_some() {

@@ -55,7 +55,10 @@ pub use tree::{Subtree, SupervisorSpec};
 use crate::actuator::{self, ActuatorRow, Commander};
 use crate::component::Component;
 use crate::component::environment::ComponentEnvironment;
-use crate::condition::{Condition, ConditionError, Connected, Heartbeat, heartbeat};
+use crate::component::spec_error::SpecError;
+use crate::condition::{
+    Condition, ConditionError, ConditionStatus, Connected, Heartbeat, heartbeat,
+};
 use crate::host::reference::ActorRef;
 use crate::liveness::sampler::Running;
 use crate::liveness::threads;
@@ -76,9 +79,11 @@ use assembly::Networks;
 use blastema_contract::detector::ReadRecord;
 use blastema_contract::monitor::ReadTable;
 use blastema_contract::supervisor::{ReadTree, SupervisionTree};
+use blastema_core::connection::ConditionState;
 use blastema_core::detection::{FaultRecord, MonitorRow};
 use blastema_core::port::{ConnectError, PortConnection};
 use blastema_core::{Contract, DeliveryError, Event, Incarnation, NodeName, ObjectName, Variable};
+use conditions::keep_while;
 use controller::Shutdown;
 use lost_communication::KeptPolicy;
 use safety::{EndCause, SignalWait};
@@ -406,6 +411,30 @@ impl Node {
     pub fn heartbeat(&self, topic: &str, interval: Duration) -> Result<Heartbeats, DeliveryError> {
         let publisher = self.publisher::<Heartbeat>(topic)?;
         Ok(Heartbeats(actix_rt::spawn(heartbeat::publish(publisher, interval)?)))
+    }
+
+    /// Runs a component under the root supervisor only while the condition is
+    /// [acceptable](Condition::is_acceptable): it is [added](Self::add_child) whenever the condition
+    /// becomes so, and [removed](Self::remove_child) in order when it is no longer. Returns once it
+    /// runs for the first time, or cannot be added at all; await it in a task of its own where the
+    /// condition may take long. Connections of its ports are made again whenever it is added.
+    ///
+    /// # Errors
+    /// As [`add_child`](Self::add_child), for the first time. A later one is logged, and it is
+    /// tried again every second while the condition holds.
+    pub async fn add_child_while<C: Component>(
+        &self,
+        condition: &Condition,
+        spec: impl Fn() -> ChildSpec<C> + 'static,
+    ) -> Result<(), SpecError> {
+        condition.acceptable().await;
+        let name = self.add_child(spec()).await?.name().to_string();
+        self.0.environment.registry.keep_connections(&name);
+        let (node, status) =
+            (Arc::new(OnceLock::from(Arc::downgrade(&self.0))), condition.status.clone());
+        let holds = |status: &ConditionStatus| status.state == ConditionState::Connected;
+        actix_rt::spawn(keep_while(node, status, holds, (Some(name), spec)));
+        Ok(())
     }
 
     /// Returns the policies for lost communication, with the rungs that are carried out.

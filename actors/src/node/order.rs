@@ -37,7 +37,7 @@ pub enum OrderVerb {
     Activate,
     /// An active component is to leave work in order.
     Deactivate,
-    /// A component in error is to recover by itself.
+    /// A component in error, or each that is below a supervisor, is to recover by itself.
     Reset,
     /// A component, or a supervisor with all below it, is to start its next incarnation.
     Restart,
@@ -108,7 +108,7 @@ impl ComponentOrder {
                 (OrderVerb::Deactivate, Some(name)) => {
                     set_active(node, name, Lifecycle::Initialized).await
                 }
-                (OrderVerb::Reset, Some(name)) => reset_component(node, name).await,
+                (OrderVerb::Reset, Some(name)) => reset_by_order(node, name).await,
                 (OrderVerb::Restart, Some(name)) => {
                     node.restart_child(name).await.map(drop).map_err(|error| error.to_string())
                 }
@@ -165,6 +165,27 @@ async fn set_active(node: &Node, name: &str, wanted: Lifecycle) -> Result<(), St
     }
     let component = node.0.environment.registry.watchable(name);
     component.map_err(|error| error.to_string())?.steer(wanted).await
+}
+
+async fn reset_by_order(node: &Node, name: &str) -> Result<(), String> {
+    let object = ObjectName::new(name).map_err(|error| error.to_string())?;
+    if node.0.chain.directory.supervisor(&object).is_none() {
+        return reset_component(node, name).await;
+    }
+    let is_in_error = |name: &str| state_of(node, name) == Ok(Lifecycle::Error);
+    let mut below = node.0.chain.directory.subtree(&object);
+    below.retain(|name| is_in_error(name.as_str()));
+    if below.is_empty() {
+        return Err("no component below it is in error: only such ones can be reset".to_owned());
+    }
+    for name in below {
+        // The reset of one before may have restarted it with its group.
+        if is_in_error(name.as_str()) {
+            let reset = reset_component(node, name.as_str()).await;
+            reset.map_err(|why| format!("{name}: {why}"))?;
+        }
+    }
+    Ok(())
 }
 
 async fn reset_component(node: &Node, name: &str) -> Result<(), String> {

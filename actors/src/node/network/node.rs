@@ -20,6 +20,7 @@ use blastema_contract::transport::TransportCounters;
 use blastema_core::directory::{ClaimRequest, DirectoryKey};
 use blastema_core::net::Route;
 use blastema_core::{DeliveryError, NameError, NodeName, ObjectName, Request};
+use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -50,13 +51,25 @@ pub enum IsolateError {
 }
 
 /// What was not there in time.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("not there in time: {missing}")]
+#[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct NotReady {
     /// Each name or topic that is missing, and why.
-    pub missing: String,
+    pub missing: Vec<(String, String)>,
 }
+
+impl fmt::Display for NotReady {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("not there in time: ")?;
+        for (place, (name, why)) in self.missing.iter().enumerate() {
+            let comma = if place == 0 { "" } else { "; " };
+            write!(f, "{comma}{name} ({why})")?;
+        }
+        Ok(())
+    }
+}
+
+impl std::error::Error for NotReady {}
 
 /// Networks and other nodes; with the feature `network`.
 impl Node {
@@ -212,12 +225,20 @@ impl Node {
         }
     }
 
-    fn missing(&self, names: &[&str], topics: &[&str]) -> String {
-        let names =
-            names.iter().filter_map(|name| Some(format!("{name} ({})", self.absence(name)?)));
-        let topics = topics.iter().filter(|topic| !self.0.environment.topics().is_heard(topic));
-        let topics = topics.map(|topic| format!("topic {topic} (no node listens to this topic)"));
-        names.chain(topics).collect::<Vec<_>>().join("; ")
+    fn missing(&self, names: &[&str], topics: &[&str]) -> Vec<(String, String)> {
+        let mut missing = Vec::new();
+        for name in names {
+            if let Some(why) = self.absence(name) {
+                missing.push(((*name).to_owned(), why));
+            }
+        }
+        for topic in topics {
+            if !self.0.environment.topics().is_heard(topic) {
+                let why = "no node listens to this topic".to_owned();
+                missing.push((format!("topic {topic}"), why));
+            }
+        }
+        missing
     }
 
     /// Why a name cannot be sent to now.

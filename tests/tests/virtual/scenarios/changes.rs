@@ -245,6 +245,24 @@ async fn an_order_that_is_not_waited_for_is_carried_out_and_undone_all_the_same(
 }
 
 #[blastema_testkit::test]
+async fn a_person_resets_all_below_a_supervisor_that_is_in_error() {
+    let strings = Strings::default();
+    let plan = Plan::default().on(FaultKind::ErrorState, Ladder::first(RecoveryAction::Observe));
+    let builder = with_arm(&strings).supervisor(group(&strings)).plan(plan);
+    let node = TestNode::start(builder).await;
+    let reset = ComponentOrder { verb: OrderVerb::Reset, name: Some("group".to_owned()) };
+    let refused = node.order(&reset).await.refused.expect("none is in error");
+    assert!(refused.contains("no component below it is in error"), "{refused}");
+    ask(&node, "deep", Deed::Fail("it is stuck".into())).await.unwrap();
+    node.settle().await;
+
+    assert_eq!(node.order(&reset).await.refused, None);
+
+    assert_eq!(strings.lines("on_reset"), ["deep#1 on_reset"]);
+    assert_eq!(incarnation(&node, "deep").await, 1);
+}
+
+#[blastema_testkit::test]
 async fn a_component_that_is_added_and_never_comes_up_is_put_to_rest() {
     let (strings, mut node) = Strings::robot(["arm"]).await;
     (0..99).for_each(|_| strings.pull("hand", "on_initialize", Pull::Fail("no device")));

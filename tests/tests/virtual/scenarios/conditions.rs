@@ -328,7 +328,7 @@ async fn a_latency_is_bounded_without_common_clocks_and_exact_with_them() {
 }
 
 #[blastema_testkit::test]
-async fn a_guarded_commander_gives_its_lease_back() {
+async fn a_guarded_commander_gives_its_lease_back_and_a_guarded_child_runs_while_it_holds() {
     let robot = Robot::start().await;
     let beats = robot.beat();
     let condition = robot.condition("operator", Connected::heartbeat(BEAT).timeout(SECOND));
@@ -340,18 +340,27 @@ async fn a_guarded_commander_gives_its_lease_back() {
         matches!(&refused, DeliveryError::CheckFailed { reason } if reason.contains("never heard"))
     );
     condition.connected().await;
+    let helper = || ChildSpec::new("helper", || Wheels);
+    robot.rover.add_child_while(&condition, helper).await.unwrap();
     planner.claim().await.unwrap();
     planner.command(Drive(1.0)).await.unwrap();
+    let runs = || robot.rover.actor::<Wheels>("helper").is_ok();
+    assert!(runs());
+    robot.rover.connect("helper#trailer", "wheels#wheels/drive").unwrap();
 
     drop(beats);
     condition.lost().await;
     robot.after(100 * MS).await;
-    assert!(!planner.holds());
+    assert!(!planner.holds() && !runs());
+    assert_eq!(robot.rover.connections(), []);
     assert_eq!(robot.rover.actuators()[0].status, blastema::LeaseStatus::Free);
 
     let _beats = robot.beat();
     condition.connected().await;
     robot.after(100 * MS).await;
+    assert!(runs());
+    let connections = robot.rover.connections();
+    assert_eq!(connections.len(), 1, "it is made again: {connections:?}");
     planner.claim().await.unwrap();
     robot.after(SECOND).await;
     assert!(planner.holds());
