@@ -260,8 +260,9 @@ pub use node::{
     NetworkRow, NotReady,
 };
 pub use node::{
-    ComponentOrder, FaultEvents, Node, NodeBuilder, NodeState, OrderReply, OrderRow, OrderVerb,
-    RemoveError, RestartError, RestartedChild, StartError, Subtree, SupervisorSpec,
+    ComponentOrder, DegradedPart, FaultCounts, FaultEvents, LastRecovery, Node, NodeBuilder,
+    NodeHealth, NodeState, OrderReply, OrderRow, OrderVerb, RemoveError,
+    RestartError, RestartedChild, StartError, Subtree, SupervisorSpec,
 };
 
 // Faults: found, shown, recovered.

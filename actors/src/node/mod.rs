@@ -20,6 +20,7 @@ mod conditions;
 pub(crate) mod controller;
 mod error;
 mod faults;
+mod health;
 #[cfg(feature = "unix")]
 pub(crate) mod inspection;
 mod lost_communication;
@@ -40,6 +41,7 @@ pub use conditions::Heartbeats;
 pub use controller::{NodeState, RestartError};
 pub use error::{PolicyPart, StartError};
 pub use faults::FaultEvents;
+pub use health::{DegradedPart, FaultCounts, LastRecovery, NodeHealth};
 pub use lost_communication::{
     AcknowledgeError, LostCommunicationPolicy, LostCommunicationRow, Rung,
 };
@@ -361,6 +363,26 @@ impl Node {
     /// Threads that were given up because a handler never returned.
     pub fn abandoned_threads(&self) -> usize {
         self.0.environment.arbiters.abandoned()
+    }
+
+    /// Returns the node's health as a small value that serializes: its state, how many faults
+    /// stand, the parts that are degraded, and the last recovery.
+    ///
+    /// ```
+    /// # use blastema::prelude::*;
+    /// # struct Lamp;
+    /// # impl Component for Lamp {}
+    /// # blastema::run(async {
+    /// # let node = Node::builder("module1").child(ChildSpec::new("lamp", || Lamp)).start().await?;
+    /// let health = node.health().await;
+    /// assert!(health.is_well() && health.degraded.is_empty());
+    /// # node.shutdown().await;
+    /// # Ok::<(), StartError>(())
+    /// # })?;
+    /// # Ok::<(), StartError>(())
+    /// ```
+    pub async fn health(&self) -> NodeHealth {
+        NodeHealth::of(self).await
     }
 
     /// Everything that the node knows of itself now, as one JSON document on one line: table,

@@ -93,3 +93,37 @@ async fn a_fatal_failure_is_answered_by_a_new_incarnation() {
     assert_eq!(incarnation(&node, "arm").await, 2);
     node.expect_no_faults().await;
 }
+
+#[blastema_testkit::test]
+async fn the_health_of_a_node_shows_what_stands_and_what_was_recovered() {
+    let strings = Strings::default();
+    let mut node = node_of(&strings).await;
+    let health = node.health().await;
+    assert!(health.is_well() && health.last_recovery.is_none(), "{health:?}");
+
+    fail(&node, "the gripper slips").await;
+    node.await_recovered(FaultKind::ErrorState, "arm").await;
+    let health = node.health().await;
+    assert!(health.is_well() && health.degraded.is_empty(), "{health:?}");
+    let last = health.last_recovery.expect("the arm was reset");
+    assert_eq!((last.part.as_str(), last.action.as_deref()), ("module1:arm", Some("reset")));
+
+    node.advance(Duration::from_secs(60)).await;
+    ask(&node, "arm", Deed::Check(7.5)).await.unwrap();
+    node.await_fault(FaultKind::CheckFailed, "arm").await;
+    node.advance(Duration::from_millis(250)).await;
+    let health = node.health().await;
+    assert!(health.is_well(), "a warning stands, and service goes on: {health:?}");
+    let shown = serde_json::to_value(&health).expect("it serializes");
+    assert_eq!(shown["node"], "module1");
+    assert_eq!(shown["state"], "running");
+    assert_eq!(shown["faults"], serde_json::json!({"critical": 0, "error": 0, "warning": 1}));
+    let arm = &shown["degraded"][0];
+    assert_eq!((&arm["part"], &arm["severity"]), (&"module1:arm".into(), &"warning".into()));
+    assert_eq!(arm["fault"], "check failed: the value is 7.5, outside of 0.0..=1.0");
+    assert_eq!(shown["last_recovery"]["fault"], "error state");
+
+    ask(&node, "arm", Deed::FailFatally("the motor burns".into())).await.unwrap();
+    node.shutdown().await;
+    assert!(!node.health().await.is_well(), "a node that was shut down is not well");
+}
