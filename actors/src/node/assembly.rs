@@ -65,7 +65,9 @@ use blastema_core::{
 };
 use std::fs;
 use std::future::Future;
-use std::path::{Path, PathBuf};
+#[cfg(feature = "unix")]
+use std::path::Path;
+use std::path::PathBuf;
 use std::pin::pin;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, Mutex, OnceLock};
