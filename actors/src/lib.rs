@@ -84,7 +84,8 @@
 //!
 //! | feature | brings |
 //! | --- | --- |
-//! | `ip`, `unix`, `serial`, `can`, `slcan` | one medium each; networks in memory and over [media](medium) of an application's own need none |
+//! | `network` | what takes more than one node: [`Network`], [`Link`] and [`Cable`], networks in memory and over [media](medium) of an application's own; [services](manual::services); [names of the whole robot](manual::names); what a node says of networks, links, routes and sessions ([`Node::links`], [`Node::connected`]), and [`Node::isolate`] |
+//! | `ip`, `unix`, `serial`, `can`, `slcan` | one medium each, and `network` |
 //! | `unix` | [`NodeBuilder::inspection_socket`] too, at which `blastema monitor` looks |
 //! | `device` | [small devices](manual::devices), and `serial`; with `ip` also those on UDP |
 //! | `process` | [programs in any language](ProcessSpec) as components |
@@ -173,7 +174,7 @@ pub use platform::sleep;
 pub use crate::actuator::CommandTimeout::Hold;
 pub use crate::actuator::{ActuatorRow, ActuatorSettings, ActuatorSpec, CommandTimeout, Commander};
 pub use crate::host::reference::ActorRef;
-pub use crate::messaging::dead_letters::{DeadLetterLog, DeadLetterSnapshot};
+pub use crate::messaging::dead_letters::DeadLetterLog;
 pub use crate::messaging::death_watch::{Down, DownReason};
 pub use crate::messaging::error::{Receiver, RequestError, SendError, Unavailable};
 pub use crate::messaging::sender::{Repeatable, Sender};
@@ -235,12 +236,12 @@ pub use blastema_core::net::{ByteRate, LinkState, LinkTraffic, Refusals, Route};
 pub use blastema_macros::main;
 pub use blastema_transports::endpoint::EndpointError;
 pub use node::{
-    Cable, Direction, Impairment, IsolateError, Link, LinkName, MediumKind, MediumRow,
-    MemoryMedium, Network, NetworkRow, NetworkSnapshot, NotReady, RouteRow,
+    Cable, Direction, Impairment, IsolateError, Link, MediumKind, MemoryMedium, Network,
+    NetworkRow, NotReady,
 };
 pub use node::{
     ComponentOrder, DegradedPart, FaultCounts, FaultEvents, LastRecovery, Node, NodeBuilder,
-    NodeHealth, NodeSnapshot, NodeState, OrderReply, OrderRow, OrderVerb, RemoveError,
+    NodeHealth, NodeState, OrderReply, OrderRow, OrderVerb, RemoveError,
     RestartError, RestartedChild, StartError, Subtree, SupervisorSpec,
 };
 

@@ -142,6 +142,6 @@ impl<T: Clone> Notes<T> {
 /// A node on the network `ethernet` of this medium, with a link to another one and a cable that a
 /// test can cut.
 pub fn on_ethernet(own: &str, far: &str, medium: &MemoryMedium) -> NodeBuilder {
-    let network = Network::memory("ethernet", medium, own).link(Link::in_memory(far, far));
+    let network = Network::memory("ethernet", medium, own).link(Link::to(far, far));
     Node::builder(own).network(network.with_faults(7))
 }

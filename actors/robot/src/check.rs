@@ -14,9 +14,7 @@ use crate::description::{
 use crate::finding::{ElementPart, ElementPlaces, FilePlace, RobotFinding, RobotSources};
 use crate::types::{Types, end_of};
 use crate::value::{ValueError, fault_word, hint};
-use blastema::core::detection::dependencies::circle;
 use blastema::core::port::{ConnectionRole, PortAddress, resolve};
-use blastema::core::sorted::SortedMap;
 use blastema::prelude::*;
 use blastema::recovery::PlanError;
 use blastema::trees::{BehaviorTree, TreeErrors, byte_at};
@@ -37,8 +35,8 @@ pub(crate) fn check(
 ) -> Vec<RobotFinding> {
     let files = sources.files.clone();
     let places = ElementPlaces::of(sources);
-    let whole = BTreeSet::new();
-    let mut checker = RobotChecker { robot, types, places, files, findings, whole };
+    let untried = BTreeSet::new();
+    let mut checker = RobotChecker { robot, types, places, files, findings, untried };
     checker.names("node", "robot", robot.nodes.iter().map(|node| (&*node.name, node.origin)));
     let networks = robot.networks.iter().map(|network| (&*network.name, network.origin));
     checker.names("network", "robot", networks);
@@ -71,8 +69,8 @@ struct RobotChecker<'a> {
     /// The robot's files, and those of its trees.
     files: Vec<(String, Arc<str>)>,
     findings: Vec<RobotFinding>,
-    /// The nodes in whose trees nothing was found.
-    whole: BTreeSet<&'a str>,
+    /// The components that cannot be tried, each behind its node.
+    untried: BTreeSet<(&'a str, &'a str)>,
 }
 
 impl<'a> RobotChecker<'a> {
@@ -168,22 +166,10 @@ impl<'a> RobotChecker<'a> {
     fn node(&mut self, node: &'a NodeDescription) {
         let [_, _, safe_outputs] = self.types.names();
         let types = self.types;
-        let mut refused = BTreeSet::new();
         let mut objects = Vec::new();
         node.root.visit(&mut |child| objects.push(child.identity()));
         self.names("object", &format!("node {}", node.name), objects.iter().copied());
         self.answers(&node.plan);
-        let parent = node.process_of.as_deref().and_then(|of| self.robot.node(of));
-        if let (Some(of_parent), Some(key)) =
-            (parent.and_then(|parent| self.robot.keys_of(parent)), &node.keys)
-            && of_parent.exists()
-            && !key.exists()
-        {
-            let name = &node.name;
-            let sentence = format!("there is no {name}.key beside the key of its node");
-            let help = format!("make it by `blastema keys add {name}`, and copy it there");
-            self.find("robot::keys", sentence, (node.origin, "name"), help, "without a key");
-        }
         if node.may_be_away && node.endpoints.is_empty() {
             let sentence = format!("node {} may be away, and is on no network", node.name);
             let help = "give it an `endpoint`, or delete `may-be-away`".to_owned();
@@ -206,7 +192,7 @@ impl<'a> RobotChecker<'a> {
             };
             let has_endpoint = component.device.as_ref().is_none_or(|device| !device.at.is_empty());
             if !is_known || !has_endpoint {
-                refused.insert(component.name.as_str());
+                self.untried.insert((&node.name, &component.name));
             }
             if !name.is_empty() && !is_known {
                 let what = if component.device.is_some() { "type of devices" } else { "type" };
@@ -216,42 +202,15 @@ impl<'a> RobotChecker<'a> {
             }
             self.answers(&component.plan);
         }
-        let claims = node.components().into_iter().flat_map(|component| {
-            component.claims.iter().map(|(name, _)| (name, component.origin))
-        });
-        let mut known = BTreeMap::new();
-        for (name, again) in claims {
-            if let Some(first) = known.insert(name, again) {
-                let sentence = format!("two components of node {} claim `{name}`", node.name);
-                let part = ElementPart::below("claim", "name", name, "name");
-                self.twice(sentence, part, [first, again], "delete one");
-            }
-        }
-        // Dependencies have rules of their own here, and names that two have were found.
-        let mut trial = node.clone();
-        trial.lost_communication.clear();
-        let mut names = BTreeSet::from([String::new()]);
-        trial.root.retain(&mut |child| {
-            let is_new = names.insert(child.identity().0.to_owned());
-            let ChildDescription::Component(component) = child else { return is_new };
-            component.depends_on.clear();
-            is_new && !refused.contains(component.name.as_str())
-        });
-        let is_whole = trial.components().len() == node.components().len();
-        match self.types.composed(self.robot, &trial) {
-            Ok(builder) => {
-                let refused = builder.check();
-                if refused.is_empty() && is_whole {
-                    self.whole.insert(&node.name);
-                }
-                refused.into_iter().for_each(|error| self.refused(node, error));
-            }
-            Err(error) => self.find("robot::node", error, (node.origin, "name"), "", ""),
-        }
     }
 
-    /// Shows what a start would refuse.
-    fn refused(&mut self, node: &'a NodeDescription, error: StartError) {
+    /// Shows what a start would refuse, at this place where the error names no other.
+    fn refused(
+        &mut self,
+        node: &'a NodeDescription,
+        error: StartError,
+        (code, place, help): (&'static str, (ElementOrigin, &str), &str),
+    ) {
         let text = error.to_string();
         let sentence = text.lines().next().unwrap_or_default().to_owned();
         let origin_of = |object: &str| {
@@ -263,6 +222,10 @@ impl<'a> RobotChecker<'a> {
             });
             found.unwrap_or(node.origin)
         };
+        let origin_of_network = |name: &str| {
+            let mut networks = self.robot.networks.iter();
+            networks.find(|of| of.name == name).map_or(node.origin, |of| of.origin)
+        };
         let (code, at, sentence, help) = match error {
             StartError::Spec(SpecError::Setting { name, setting, value, cure }) => {
                 let part = ElementPart::of_setting(setting);
@@ -272,14 +235,13 @@ impl<'a> RobotChecker<'a> {
                 (code, (origin_of(&name), part), sentence, cure.to_owned())
             }
             StartError::Spec(SpecError::Parameters { name, error, .. }) => {
-                let (key, name) = (error.key().to_owned(), name.to_string());
-                let help = self.parameter_help(node, &name, &error);
-                let (sentence, attribute) = match &error {
-                    ParameterError::Unknown { .. } => {
-                        (format!("{name} has no parameter `{key}`"), "name")
-                    }
-                    error => (format!("of {name}, {error}"), "value"),
-                };
+                let key = error.key().to_owned();
+                let is_unknown = matches!(error, ParameterError::Unknown { .. });
+                let attribute = if is_unknown { "name" } else { "value" };
+                let (sentence, help) = (
+                    format!("of {name}, {error}"),
+                    "correct it; the command `describe` prints what there is",
+                );
                 let part = ElementPart::below("param", "name", &key, attribute);
                 ("robot::parameter", (origin_of(&name), part), sentence, help)
             }
@@ -310,9 +272,10 @@ impl<'a> RobotChecker<'a> {
                 ("robot::setting", at, sentence, "mend its `ports`".to_owned())
             }
             StartError::Setting { setting, value, cure } => {
+                let setting = if setting == "inspection_socket" { "shown_at" } else { setting };
                 let part = ElementPart::of_setting(setting);
                 let sentence = format!("`{}` of node {} is {value}", part.attribute, node.name);
-                ("robot::setting", (node.origin, part), sentence, cure.to_owned())
+                ("robot::setting", (node.origin, part), sentence, cure)
             }
             StartError::Endpoint { network, neighbour, error } => {
                 let of = neighbour.as_ref().and_then(|other| self.robot.node(other.as_str()));
@@ -324,14 +287,21 @@ impl<'a> RobotChecker<'a> {
                 let at = at.unwrap_or((node.origin, "name".into()));
                 ("robot::network", at, error.problem().to_owned(), MEDIA.to_owned())
             }
-            // It is found at the network.
-            StartError::Insecure { .. } => return,
+            StartError::Insecure { network, .. } => {
+                let sentence = format!("`{network}` leaves the computer without keys");
+                let help = "add `keys=\"…\"` to `robot`, or `insecure=\"true\"` here if every station \
+                            on it may command this robot";
+                (
+                    "robot::network",
+                    (origin_of_network(&network), "name".into()),
+                    sentence,
+                    help.to_owned(),
+                )
+            }
             StartError::Link { network, setting, value, cure, .. } => {
                 let part = ElementPart::of_setting(setting);
                 let sentence = format!("`{}` of network {network} is {value}", part.attribute);
-                let mut networks = self.robot.networks.iter();
-                let of = networks.find(|of| of.name == network).map_or(node.origin, |of| of.origin);
-                ("robot::network", (of, part), sentence, cure.to_owned())
+                ("robot::network", (origin_of_network(&network), part), sentence, cure.to_owned())
             }
             StartError::LostCommunication { policy, part, reason } => {
                 let mut policies = node.lost_communication.iter();
@@ -339,15 +309,7 @@ impl<'a> RobotChecker<'a> {
                 let at = at.unwrap_or((node.origin, "name".into()));
                 ("robot::lost", at, format!("of `{policy}`, {reason}"), "correct it".to_owned())
             }
-            error => {
-                let part = match error {
-                    StartError::Shown(_) => "shown-at",
-                    StartError::Variables { .. } => "keep-variables",
-                    _ => "name",
-                };
-                let help = "change the description of the node".to_owned();
-                ("robot::node", (node.origin, part.into()), sentence, help)
-            }
+            _ => (code, (place.0, place.1.into()), sentence, help.to_owned()),
         };
         self.find(code, sentence, at, help, "here");
     }
@@ -451,7 +413,7 @@ impl<'a> RobotChecker<'a> {
 
     fn networks(&mut self) {
         let names = self.robot.networks.iter().map(|network| network.name.as_str());
-        let mut ends: BTreeMap<&str, Vec<(&NodeDescription, &EndpointDescription)>> =
+        let mut ends: BTreeMap<&str, Vec<(&'a NodeDescription, &EndpointDescription)>> =
             names.clone().map(|name| (name, Vec::new())).collect();
         for node in &self.robot.nodes {
             for end in &node.endpoints {
@@ -492,7 +454,7 @@ impl<'a> RobotChecker<'a> {
         }
     }
 
-    fn endpoint(&mut self, node: &NodeDescription, end: &EndpointDescription) {
+    fn endpoint(&mut self, node: &'a NodeDescription, end: &EndpointDescription) {
         let (code, at) = ("robot::network", (end.origin, "at"));
         let place = end.at.split_once("://").map_or("", |(_, place)| place);
         let unspecified = place.starts_with("0.0.0.0:") || place.starts_with("[::]:");
@@ -514,18 +476,7 @@ impl<'a> RobotChecker<'a> {
         let network = end_of(described, end);
         let network = if has_keys { network.insecure() } else { network };
         for error in Node::builder(&node.name).network(network).check() {
-            if let StartError::Insecure { network, .. } = error {
-                let sentence = format!("`{network}` leaves the computer without keys");
-                let help = "add `keys=\"…\"` to `robot`, or `insecure=\"true\"` here if every station \
-                            on it may command this robot";
-                self.find(code, sentence, (origin, "name"), help, "here");
-            } else if let StartError::Endpoint { error, .. } = error {
-                self.find(code, error.problem(), at, MEDIA, "here");
-            } else {
-                let text = error.to_string();
-                let sentence = text.lines().next().unwrap_or_default();
-                self.find(code, sentence, at, MEDIA, "here");
-            }
+            self.refused(node, error, (code, at, MEDIA));
         }
         if has_keys && described.insecure {
             let sentence =
@@ -534,7 +485,7 @@ impl<'a> RobotChecker<'a> {
         }
     }
 
-    /// Tries each node as its start does, with all in which nothing was found.
+    /// Tries each node as its start does, without what was found to be wrong.
     fn try_nodes(&mut self) {
         let mut robot = self.robot.clone();
         // Plans and dependencies have rules of their own, and keys need not be here.
@@ -543,35 +494,43 @@ impl<'a> RobotChecker<'a> {
         (robot.keys, robot.plan) = Default::default();
         let labels = self.findings.iter().flat_map(|finding| &finding.labels);
         let is_right = |origin| !labels.clone().any(|(place, _)| self.places.holds(origin, place));
-        let is_whole = |end: &PortAddress| {
-            end.node.as_ref().is_some_and(|node| self.whole.contains(node.as_str()))
-        };
-        robot.connections.retain(|ConnectionDescription { ports, origin }| {
-            is_right(*origin) && is_whole(&ports.from) && is_whole(&ports.to)
-        });
+        let mut whole = BTreeSet::new();
         for node in &mut robot.nodes {
-            let is_whole = self.whole.contains(&*node.name);
             (node.keys, node.safe_outputs, node.plan) = Default::default();
             node.endpoints.retain(|end| is_right(end.origin));
-            let (own, has_networks) = (&node.name, !node.endpoints.is_empty());
+            let (own, mut names, mut is_whole) =
+                (&node.name, BTreeSet::from([String::new()]), true);
+            node.root.retain(&mut |child| {
+                let is_new = names.insert(child.identity().0.to_owned());
+                let ChildDescription::Component(component) = child else { return is_new };
+                (component.depends_on, component.plan) = Default::default();
+                let is_refused = self.untried.contains(&(own.as_str(), component.name.as_str()));
+                is_whole &= is_new && !is_refused;
+                is_new && !is_refused
+            });
+            let has_networks = !node.endpoints.is_empty();
             node.lost_communication.retain(|policy| {
                 let can_be_lost =
                     has_networks || policy.commander.as_ref().is_none_or(|of| of == own);
                 is_whole && can_be_lost && is_right(policy.origin)
             });
-            node.root.retain(&mut |child| {
-                if let ChildDescription::Component(component) = child {
-                    (component.depends_on, component.plan) = Default::default();
-                }
-                is_whole
-            });
+            if is_whole {
+                whole.insert(own.clone());
+            }
         }
+        let is_whole =
+            |end: &PortAddress| end.node.as_ref().is_some_and(|node| whole.contains(node.as_str()));
+        robot.connections.retain(|ConnectionDescription { ports, origin }| {
+            is_right(*origin) && is_whole(&ports.from) && is_whole(&ports.to)
+        });
         for node in &self.robot.nodes {
+            let at = (node.origin, "name");
             match self.types.node(&robot, &node.name) {
-                Ok(builder) => {
-                    builder.check().into_iter().for_each(|error| self.refused(node, error));
-                }
-                Err(error) => self.find("robot::node", error, (node.origin, "name"), "", ""),
+                Ok(builder) => builder.check().into_iter().for_each(|error| {
+                    let help = "change the description of the node";
+                    self.refused(node, error, ("robot::node", at, help));
+                }),
+                Err(error) => self.find("robot::node", error, at, "", ""),
             }
         }
     }
@@ -606,7 +565,7 @@ impl<'a> RobotChecker<'a> {
         }
     }
 
-    /// Everything that is needed is there and starts before, and nothing needs itself.
+    /// Everything that is needed is there, and starts before.
     fn dependencies(&mut self, groups: &BTreeMap<&str, usize>) {
         // The place of each object in the order of its node; a supervisor has that of its last
         // child.
@@ -630,21 +589,6 @@ impl<'a> RobotChecker<'a> {
                 needs.entry(full(&component.name)).or_default().extend(of);
             }
         }
-        let edges = needs.iter().map(|(object, needed)| {
-            (object, needed.iter().map(|(other, _)| other).collect::<Vec<_>>())
-        });
-        let (mut edges, mut circles): (SortedMap<_, _>, _) = (edges.collect(), BTreeSet::new());
-        while let Some(way) = circle(&edges) {
-            let Some((object, needed)) = needs.get_key_value(&way[0]) else { break };
-            for (_, component) in needed.iter().filter(|(other, _)| *other == way[1]) {
-                let sentence = format!("{}: each waits for the next", way.join(" -> "));
-                let at = (component.origin, "depends-on");
-                let help = "leave out one of these dependencies";
-                self.find("robot::cycle", sentence, at, help, "here");
-            }
-            edges.entry(object).or_default().retain(|other| **other != way[1]);
-            circles.extend(way.windows(2).map(<[String]>::to_vec));
-        }
         for (object, needed) in &needs {
             for (other, component) in needed {
                 let at = (component.origin, "depends-on");
@@ -661,11 +605,7 @@ impl<'a> RobotChecker<'a> {
                 let Some(here) = order.get(object).copied() else { continue };
                 let own_node = self.robot.nodes[here.0].name.as_str();
                 self.reach(groups, [own_node, node], at);
-                if place.0 == here.0 && place.1 < here.1 {
-                    continue;
-                }
-                let edge = [object.clone(), other.clone()];
-                if place.0 == here.0 && !circles.contains(&edge[..]) {
+                if place.0 == here.0 && place.1 >= here.1 {
                     let sentence =
                         format!("`{}` depends on `{own}`, which starts after it", component.name);
                     let help = format!("move `{own}` before `{}`", component.name);

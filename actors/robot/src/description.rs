@@ -3,7 +3,7 @@
 use blastema::core::port::{PortAddress, PortConnection};
 use blastema::detection::Liveness;
 use blastema::recovery::{Ladder, Restart, Strategy, WhenExceeded};
-use blastema::{ActuatorSettings, ClaimPolicy, FaultKind, ProcessSpec, WhenFull};
+use blastema::{ActuatorSettings, ClaimPolicy, Connected, FaultKind, ProcessSpec, WhenFull};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -79,8 +79,6 @@ pub struct EndpointDescription {
     pub at: String,
     /// The address that other nodes use; unless it is set, the one of `at`.
     pub reached_at: Option<String>,
-    /// See [`Network::interface`](blastema::Network::interface).
-    pub interface: Option<String>,
     #[doc(hidden)]
     pub origin: ElementOrigin,
 }
@@ -249,34 +247,15 @@ pub struct LostCommunicationDescription {
     pub origin: ElementOrigin,
 }
 
-/// What must be connected.
-#[derive(Clone, Debug, PartialEq)]
-pub enum NeedChannel {
-    /// Heartbeats arrive on this topic.
-    Heartbeat(String),
-    /// A path leads to this node.
-    Node(String),
-    /// A session with this node is open.
-    Session(String),
-    /// This link is up.
-    Link(String),
-}
-
-/// A channel that must be connected, and how well: see [`Connected`](blastema::Connected).
+/// A channel that must be connected, and how well.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NeedDescription {
-    /// What is connected: a topic, a node, a session or a link.
-    pub channel: NeedChannel,
-    /// How long it may be silent.
-    pub timeout: Option<Duration>,
-    /// At which rate, in Hz, events must arrive, counted over how long.
-    pub rate: Option<(f64, Duration)>,
-    /// See [`Connected::max_latency`](blastema::Connected::max_latency).
-    pub max_latency: Option<Duration>,
-    /// See [`Connected::max_jitter`](blastema::Connected::max_jitter).
-    pub max_jitter: Option<Duration>,
-    /// See [`Connected::max_loss`](blastema::Connected::max_loss).
-    pub max_loss: Option<f64>,
+    /// The kind of channel: `heartbeat`, `node`, `session` or `link`.
+    pub kind: &'static str,
+    /// The topic of the heartbeats, the node or the link.
+    pub name: String,
+    /// What must hold of it.
+    pub needed: Connected,
     #[doc(hidden)]
     pub origin: ElementOrigin,
 }
@@ -377,14 +356,6 @@ impl SupervisorDescription {
                 supervisor.visit(visit);
             }
         }
-    }
-
-    /// Whether something below it is so.
-    pub(crate) fn any(&self, is_so: &impl Fn(&ChildDescription) -> bool) -> bool {
-        self.children.iter().any(|child| match child {
-            ChildDescription::Supervisor(below) => is_so(child) || below.any(is_so),
-            ChildDescription::Component(_) => is_so(child),
-        })
     }
 
     /// Changes everything below it; what is refused is removed.

@@ -2,8 +2,7 @@
 
 use crate::description::ElementOrigin;
 use miette::{
-    GraphicalReportHandler, GraphicalTheme, LabeledSpan, MietteDiagnostic, MietteError,
-    MietteSpanContents, NamedSource, Report, SourceCode, SourceSpan, SpanContents,
+    GraphicalReportHandler, GraphicalTheme, LabeledSpan, MietteDiagnostic, NamedSource, Report,
 };
 use roxmltree::{Document, Node, NodeId};
 use std::collections::BTreeMap;
@@ -14,8 +13,6 @@ use std::sync::Arc;
 const FINDINGS_MAX: usize = 100;
 /// The columns of a report.
 const WIDTH: usize = 120;
-/// A line may be the whole file: so many bytes are shown of a place, before it, and behind it.
-const BESIDE_MAX: usize = 80;
 
 /// A place in one of the robot's files.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -176,21 +173,12 @@ pub(crate) fn report(findings: &[RobotFinding], sources: &RobotSources) -> Strin
 
 /// A finding as miette renders it. An excerpt is of one file: the help names places in others.
 fn shown(finding: &RobotFinding, sources: &RobotSources) -> Report {
-    let first = finding.labels.first().map(|(place, _)| place);
-    let file = first.map(|place| place.file);
-    let (here, elsewhere): (Vec<_>, Vec<_>) = finding.labels.iter().partition(|(place, _)| {
-        first.is_some_and(|first| {
-            let text = &sources.files[first.file].1;
-            let [from, to] = [first, place].map(|place| place.range.start);
-            let between = text.get(from.min(to)..from.max(to)).unwrap_or_default();
-            first.file == place.file && between.lines().all(|line| line.len() <= 2 * BESIDE_MAX)
-        })
-    });
-    let labels = here.into_iter().map(|(place, label)| {
-        let FilePlace { file, range } = place;
-        let end = begun(&sources.files[*file].1, range.end.min(range.start + BESIDE_MAX));
-        LabeledSpan::new_with_span(Some(label.clone()), range.start..end)
-    });
+    let file = finding.labels.first().map(|(place, _)| place.file);
+    let (here, elsewhere): (Vec<_>, Vec<_>) =
+        finding.labels.iter().partition(|(place, _)| Some(place.file) == file);
+    let labels = here
+        .into_iter()
+        .map(|(place, label)| LabeledSpan::new_with_span(Some(label.clone()), place.range.clone()));
     let elsewhere =
         elsewhere.into_iter().map(|(place, label)| format!("{label}: {}", sources.name(place)));
     let help = std::iter::once(finding.help.clone()).chain(elsewhere);
@@ -199,47 +187,8 @@ fn shown(finding: &RobotFinding, sources: &RobotSources) -> Report {
     shown.help = Some(help.collect::<Vec<_>>().join("\n"));
     match file.map(|file| &sources.files[file]) {
         Some((name, text)) => {
-            Report::new(shown).with_source_code(NamedSource::new(name, ClippedSource(text.clone())))
+            Report::new(shown).with_source_code(NamedSource::new(name, text.clone()))
         }
         None => Report::new(shown),
-    }
-}
-
-/// The byte, this one or one before, at which a character begins.
-fn begun(text: &str, at: usize) -> usize {
-    (0..=at).rev().find(|at| text.is_char_boundary(*at)).unwrap_or(0)
-}
-
-/// A file of whose long lines only what is near a place is shown.
-struct ClippedSource(Arc<str>);
-
-impl SourceCode for ClippedSource {
-    fn read_span<'a>(
-        &'a self,
-        span: &SourceSpan,
-        before: usize,
-        after: usize,
-    ) -> Result<Box<dyn SpanContents<'a> + 'a>, MietteError> {
-        let whole = self.0.read_span(span, before, after)?;
-        let (from, to) = (whole.span().offset(), whole.span().offset() + whole.span().len());
-        let (start, end) = (span.offset(), span.offset() + span.len());
-        // Where the last line before the place, or one before that, is long, the excerpt begins in
-        // the line of the place; likewise at its end.
-        let is_long = |text: &str| text.lines().any(|line| line.len() > 2 * BESIDE_MAX);
-        let (head, tail) = (&self.0[from..start], &self.0[end..to]);
-        let line = head.rfind('\n').map_or(from, |end| from + end + 1);
-        let from = match is_long(head) {
-            true => begun(&self.0, line.max(start.saturating_sub(BESIDE_MAX))),
-            false => from,
-        };
-        let rest = tail.find('\n').map_or(to, |at| end + at);
-        let to = match is_long(tail) {
-            true => begun(&self.0, rest.min(end + BESIDE_MAX)),
-            false => to,
-        };
-        let skipped = self.0[whole.span().offset()..from].matches('\n').count();
-        let (data, span) = (&self.0.as_bytes()[from..to], (from..to).into());
-        let (line, count) = (whole.line() + skipped, whole.line_count());
-        Ok(Box::new(MietteSpanContents::new(data, span, line, whole.column(), count)))
     }
 }

@@ -3,8 +3,8 @@
 use crate::description::{
     AnswerDescription, ChildDescription, CommandDescription, ComponentDescription,
     ConnectionDescription, DeviceSettings, EndpointDescription, LostCommunicationDescription,
-    NeedChannel, NeedDescription, NodeDescription, RobotDescription, RobotNetwork, RungAction,
-    RungDescription, SupervisorDescription,
+    NeedDescription, NodeDescription, RobotDescription, RobotNetwork, RungAction, RungDescription,
+    SupervisorDescription,
 };
 use crate::element::{ArgumentValues, FileReading, RobotElement};
 use crate::finding::{FilePlace, RobotFinding, RobotSources};
@@ -14,7 +14,7 @@ use blastema::core::port::{ConnectError, PortAddress, PortConnection};
 use blastema::detection::{Liveness, Pull, Push};
 use blastema::recovery::{Backoff, Ladder, RecoveryAction, Restart, Strategy, WhenExceeded};
 use blastema::trees::byte_at;
-use blastema::{ActuatorSettings, ClaimPolicy, NodeName, ProcessSpec, WhenFull};
+use blastema::{ActuatorSettings, ClaimPolicy, Connected, NodeName, ProcessSpec, WhenFull};
 use roxmltree::{Document, Error, ParsingOptions};
 use std::cell::{Cell, RefCell};
 use std::path::{Path, PathBuf};
@@ -23,11 +23,12 @@ use std::{env, fmt, fs};
 
 /// A file that is written by hand has a hundred kilobytes at most.
 const FILE_MAX: usize = 1 << 20;
+/// Findings show whole lines.
+const LINE_MAX: usize = 4096;
 const FILES_MAX: usize = 64;
 const DEPTH_MAX: usize = 8;
 /// Ten thousand components with all their attributes.
 const NODES_MAX: u32 = 200_000;
-const ARGUMENTS_MAX: usize = 64;
 /// Of the whole robot: as many as one computer starts in seconds.
 const COMPONENTS_MAX: usize = 10_000;
 /// Elements within each other: more than a tree of components that a person can follow.
@@ -77,7 +78,11 @@ fn read_text(path: &Path) -> Result<String, String> {
     if about.len() > FILE_MAX as u64 {
         return Err("it has more than 1 MiB: divide it by `<include file=…/>`".to_owned());
     }
-    fs::read_to_string(path).map_err(|error| error.to_string())
+    let text = fs::read_to_string(path).map_err(|error| error.to_string())?;
+    match text.lines().position(|line| line.len() > LINE_MAX) {
+        Some(at) => Err(format!("line {} has more than {LINE_MAX} bytes: break it", at + 1)),
+        None => Ok(text),
+    }
 }
 
 /// Where the values of a file's arguments come from, beside their defaults.
@@ -265,14 +270,6 @@ fn arguments(root: &RobotElement<'_>, set: &ArgumentSource<'_>) -> ArgumentValue
         let environment =
             || env::var(&variable).ok().filter(|_| matches!(set, ArgumentSource::Outer(_)));
         let value = told.or_else(environment).or(default);
-        if arguments.values.len() >= ARGUMENTS_MAX {
-            let sentence = format!("the file declares more than {ARGUMENTS_MAX} arguments");
-            element.find(
-                "robot::limit",
-                element.place("name"),
-                ValueError::new(sentence, "one too many", "delete it"),
-            );
-        }
         match value.map(|value| (kind.map_or(Ok(()), |check| check(&value)), value)) {
             Some((Ok(()), value)) => drop(arguments.values.insert(name, value)),
             Some((Err(error), value)) => {
@@ -332,7 +329,6 @@ fn endpoint(element: &RobotElement<'_>) -> EndpointDescription {
         network: element.need("network", value::text).unwrap_or_default(),
         at: element.need("at", value::text).unwrap_or_default(),
         reached_at: element.take("reached-at", value::text),
-        interface: element.take("interface", value::text),
         origin: element.origin(),
     }
 }
@@ -420,36 +416,41 @@ fn lost_communication(element: &RobotElement<'_>, node: &str) -> LostCommunicati
     }
 }
 
+/// The kinds of channels: how each is written, and what it means.
+type NeedKind = (&'static str, fn(&str) -> ParsedValue<String>, fn(&str) -> Connected);
+const NEED_KINDS: [NeedKind; 4] = [
+    ("heartbeat", value::text, Connected::heartbeat),
+    ("node", value::node_name, Connected::node),
+    ("session", value::node_name, Connected::session),
+    ("link", value::text, Connected::link),
+];
+
 /// A channel that must be connected: one attribute says which.
 fn needs(element: &RobotElement<'_>) -> Option<NeedDescription> {
-    let channels = [
-        element.take("heartbeat", value::text).map(NeedChannel::Heartbeat),
-        element.take("node", value::node_name).map(NeedChannel::Node),
-        element.take("session", value::node_name).map(NeedChannel::Session),
-        element.take("link", value::text).map(NeedChannel::Link),
-    ];
-    let rate = element.take("rate", value::rate);
-    let window = match element.node.has_attribute("rate") {
-        true => element.need("window", value::duration),
-        false => None,
-    };
-    let mut channels = channels.into_iter().flatten();
-    let channel = channels.next();
-    if channel.is_none() || channels.next().is_some() {
+    let written = NEED_KINDS.map(|(kind, parse, of)| Some((kind, element.take(kind, parse)?, of)));
+    let mut written = written.into_iter().flatten();
+    let channel = written.next();
+    if channel.is_none() || written.next().is_some() {
         let sentence = "`needs` names one channel";
         let help = "write `heartbeat`, `node`, `session` or `link`, and one `needs` for each";
         element.find("robot::lost", element.place(""), ValueError::new(sentence, "here", help));
     }
-    // The channel last: without one the other attributes are known all the same.
-    Some(NeedDescription {
-        timeout: element.take("timeout", value::duration),
-        rate: rate.zip(window),
-        max_latency: element.take("max-latency", value::duration),
-        max_jitter: element.take("max-jitter", value::duration),
-        max_loss: element.take("max-loss", value::number),
-        origin: element.origin(),
-        channel: channel?,
-    })
+    // Without a channel the other attributes are known all the same.
+    let (kind, name, of) = channel.unwrap_or(("", String::new(), Connected::heartbeat));
+    let mut needed = of(&name);
+    needed = element.take("timeout", value::duration).into_iter().fold(needed, Connected::timeout);
+    let rate = element.take("rate", value::rate);
+    if element.node.has_attribute("rate") {
+        let rate = rate.zip(element.need("window", value::duration));
+        needed = rate.into_iter().fold(needed, |needed, (hz, window)| needed.at_rate(hz, window));
+    }
+    let latency = element.take("max-latency", value::duration);
+    needed = latency.into_iter().fold(needed, Connected::max_latency);
+    let jitter = element.take("max-jitter", value::duration);
+    needed = jitter.into_iter().fold(needed, Connected::max_jitter);
+    needed = element.take("max-loss", value::number).into_iter().fold(needed, Connected::max_loss);
+    let origin = element.origin();
+    (!kind.is_empty()).then_some(NeedDescription { kind, name, needed, origin })
 }
 
 /// What supervisors and nodes have in common.
@@ -760,61 +761,20 @@ fn answer(element: &RobotElement<'_>) -> Option<AnswerDescription> {
 fn syntax_finding(file: usize, text: &str, error: &Error) -> RobotFinding {
     let position = error.pos();
     let at = byte_at(text, position.row as usize, position.col as usize);
-    let place = |start: usize, length: usize| FilePlace {
-        file,
-        range: start.min(text.len())..(start + length).min(text.len()),
-    };
-    let finding = |sentence: String, labels: Vec<(FilePlace, String)>, help: String| RobotFinding {
-        code: "robot::xml",
-        sentence,
-        labels,
-        help,
-    };
-    match error {
-        Error::UnexpectedCloseTag(expected, actual, _) => {
-            let closed = text[..(at + 2).min(text.len())].rfind("</").unwrap_or(at);
-            let mut labels = vec![(place(closed, actual.len() + 3), "closed here".to_owned())];
-            if let Some(opened) = opened_at(&text[..closed], expected) {
-                labels.insert(0, (place(opened, expected.len() + 1), "opened here".to_owned()));
-            }
-            let sentence = format!("`</{expected}>` is missing before `</{actual}>`");
-            finding(sentence, labels, format!("write `</{expected}>`, or `<{expected} …/>`"))
-        }
-        Error::DtdDetected => {
-            let at = text.find("<!DOCTYPE").unwrap_or(0);
-            finding(
-                "a robot file has no document type".to_owned(),
-                vec![(place(at, "<!DOCTYPE".len()), "not allowed".to_owned())],
-                "delete it; `<argument>` is for what repeats, `<include>` for other files".into(),
-            )
-        }
-        Error::NodesLimitReached => finding(
-            format!("the file has more than {NODES_MAX} parts"),
-            vec![(place(0, 1), "this file".to_owned())],
-            "divide the robot into files".to_owned(),
+    let (sentence, help) = match error {
+        Error::UnexpectedCloseTag(expected, actual, _) => (
+            format!("`</{expected}>` is missing before `</{actual}>`"),
+            format!("write `</{expected}>`, or `<{expected} …/>`"),
         ),
-        error => finding(
-            format!("no XML: {error}"),
-            vec![(place(at, 1), "here".to_owned())],
-            "correct what stands here, or just before".to_owned(),
+        Error::DtdDetected => (
+            "a robot file has no document type".to_owned(),
+            "delete it; `<argument>` is for what repeats, `<include>` for other files".to_owned(),
         ),
-    }
-}
-
-/// Where the element of this name begins that is still open at the end of the text.
-fn opened_at(text: &str, name: &str) -> Option<usize> {
-    let mut open = Vec::new();
-    for (at, _) in text.match_indices('<') {
-        let tag = &text[at + 1..];
-        let is_name = |tag: &str| {
-            tag.strip_prefix(name).is_some_and(|rest| rest.starts_with([' ', '\n', '\t', '/', '>']))
-        };
-        let end = tag.find('>').map_or(tag, |end| &tag[..end]);
-        if tag.strip_prefix('/').is_some_and(is_name) {
-            open.pop();
-        } else if is_name(tag) && !end.ends_with('/') {
-            open.push(at);
+        error => {
+            (format!("no XML: {error}"), "correct what stands here, or just before".to_owned())
         }
-    }
-    open.pop()
+    };
+    let range = at.min(text.len())..(at + 1).min(text.len());
+    let labels = vec![(FilePlace { file, range }, "here".to_owned())];
+    RobotFinding { code: "robot::xml", sentence, help, labels }
 }

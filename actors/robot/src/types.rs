@@ -2,8 +2,8 @@
 
 use crate::description::{
     AnswerDescription, ChildDescription, ComponentDescription, EndpointDescription,
-    LostCommunicationDescription, NeedChannel, NeedDescription, NodeDescription, RobotDescription,
-    RobotNetwork, SupervisorDescription,
+    LostCommunicationDescription, NodeDescription, RobotDescription, RobotNetwork,
+    SupervisorDescription,
 };
 use crate::own_process::candidates;
 use crate::reader::RUNGS;
@@ -277,7 +277,19 @@ impl Types {
             let nodes: Vec<&str> = robot.nodes.iter().map(|node| node.name.as_str()).collect();
             format!("{} has no node `{name}`: its nodes are {}", robot.name, nodes.join(", "))
         })?;
-        let mut builder = self.composed(robot, node)?.plan(plan_of(robot, node));
+        let mut builder = Node::builder(name).plan(plan_of(robot, node));
+        builder = node.work_threads.into_iter().fold(builder, NodeBuilder::work_threads);
+        if node.locked_memory {
+            builder = builder.locked_memory();
+        }
+        builder = node.grace.into_iter().fold(builder, NodeBuilder::grace);
+        builder = node.shown_at.iter().fold(builder, NodeBuilder::inspection_socket);
+        builder = node.keep_variables.iter().fold(builder, NodeBuilder::keep_variables);
+        for policy in &node.lost_communication {
+            builder = builder.lost_communication(self.policy(robot, node, policy)?);
+        }
+        let rungs: Vec<&str> = node.run_by_rungs().collect();
+        builder = builder.root(self.supervisor(&node.root, &rungs)?);
         builder = self.strategies.values().fold(builder, |builder, add| add(builder));
         if let Some(name) = &node.safe_outputs {
             let unknown = || format!("no safe outputs `{name}` are registered");
@@ -300,34 +312,13 @@ impl Types {
         Ok(builder)
     }
 
-    /// A node with its own settings, its tree and its policies for lost communication alone.
-    pub(crate) fn composed(
-        &self,
-        robot: &RobotDescription,
-        node: &NodeDescription,
-    ) -> Result<NodeBuilder, String> {
-        let mut builder = Node::builder(&node.name);
-        builder = node.work_threads.into_iter().fold(builder, NodeBuilder::work_threads);
-        if node.locked_memory {
-            builder = builder.locked_memory();
-        }
-        builder = node.grace.into_iter().fold(builder, NodeBuilder::grace);
-        builder = node.shown_at.iter().fold(builder, NodeBuilder::inspection_socket);
-        builder = node.keep_variables.iter().fold(builder, NodeBuilder::keep_variables);
-        for policy in &node.lost_communication {
-            builder = builder.lost_communication(self.policy(robot, node, policy)?);
-        }
-        let rungs: Vec<&str> = node.run_by_rungs().collect();
-        Ok(builder.root(self.supervisor(&node.root, &rungs)?))
-    }
-
     fn policy(
         &self,
         robot: &RobotDescription,
         node: &NodeDescription,
         described: &LostCommunicationDescription,
     ) -> Result<LostCommunicationPolicy, String> {
-        let needs: Vec<_> = described.needs.iter().map(need).collect();
+        let needs: Vec<_> = described.needs.iter().map(|need| need.needed.clone()).collect();
         let needs = Connected::at_least(described.at_least.unwrap_or(needs.len()), needs);
         let mut policy = LostCommunicationPolicy::new(&described.name, needs);
         policy = described.commander.iter().fold(policy, |policy, node| policy.commander(node));
@@ -544,21 +535,6 @@ fn configured<C: Component>(spec: ChildSpec<C>, component: &ComponentDescription
     spec
 }
 
-/// What must be connected.
-fn need(of: &NeedDescription) -> Connected {
-    let mut need = match &of.channel {
-        NeedChannel::Heartbeat(topic) => Connected::heartbeat(topic),
-        NeedChannel::Node(node) => Connected::node(node),
-        NeedChannel::Session(node) => Connected::session(node),
-        NeedChannel::Link(link) => Connected::link(link),
-    };
-    need = of.timeout.into_iter().fold(need, Connected::timeout);
-    need = of.rate.into_iter().fold(need, |need, (hz, window)| need.at_rate(hz, window));
-    need = of.max_latency.into_iter().fold(need, Connected::max_latency);
-    need = of.max_jitter.into_iter().fold(need, Connected::max_jitter);
-    of.max_loss.into_iter().fold(need, Connected::max_loss)
-}
-
 /// The plan of a node: the built-in one, the robot's, the node's, and those of its components.
 fn plan_of(robot: &RobotDescription, node: &NodeDescription) -> Plan {
     let answers = robot.plan.iter().chain(&node.plan);
@@ -577,7 +553,6 @@ fn plan_of(robot: &RobotDescription, node: &NodeDescription) -> Plan {
 /// A network with its own end alone.
 pub(crate) fn end_of(network: &RobotNetwork, endpoint: &EndpointDescription) -> Network {
     let end = Network::new(&network.name, &endpoint.at);
-    let end = endpoint.interface.iter().fold(end, |end, name| end.interface(name));
     if network.insecure { end.insecure() } else { end }
 }
 

@@ -8,17 +8,6 @@ use std::borrow::Cow;
 use std::fmt;
 use std::sync::{Arc, Mutex};
 
-/// All that a node did not deliver, at one moment, as part of its
-/// [`NodeSnapshot`](crate::NodeSnapshot).
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct DeadLetterSnapshot {
-    /// The counts, by node, object, contract and reason.
-    pub counts: Vec<DeadLetterCount>,
-    /// How many more there are that were counted together, because there were too many kinds.
-    pub beyond: u64,
-}
-
 /// A handle on a node's record of undelivered messages; clones share it.
 #[derive(Clone, Default)]
 pub struct DeadLetterLog(Arc<Mutex<DeadLetters>>);
@@ -80,9 +69,8 @@ impl DeadLetterLog {
         lock(&self.0).counts().collect()
     }
 
-    /// The counts, and what is beyond them.
-    pub(crate) fn snapshot(&self) -> DeadLetterSnapshot {
-        let letters = lock(&self.0);
-        DeadLetterSnapshot { counts: letters.counts().collect(), beyond: letters.beyond() }
+    /// How many more there are that were counted together, because there were too many kinds.
+    pub(crate) fn beyond(&self) -> u64 {
+        lock(&self.0).beyond()
     }
 }

@@ -14,7 +14,6 @@ use blastema_core::net::trust::roster::{NodeRoster, RosterOrder};
 use blastema_core::net::{NeighbourKey, NodeId};
 use blastema_core::sorted::SortedSet;
 use blastema_core::{Incarnation, NodeName};
-use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use zeroize::Zeroizing;
@@ -31,8 +30,7 @@ pub(crate) struct NodeKeys {
 }
 
 /// Whether keys and rosters that other users can read or change are refused.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum KeysPermissions {
     /// They are refused when the node starts, with the command that mends it.

@@ -60,6 +60,8 @@ use blastema_core::{
 };
 use std::fs;
 use std::future::Future;
+#[cfg(feature = "unix")]
+use std::path::Path;
 use std::path::PathBuf;
 use std::pin::pin;
 use std::sync::atomic::Ordering::SeqCst;
@@ -134,51 +136,59 @@ impl NodeBuilder {
     }
 
     /// Returns what [`start`](Self::start) would refuse in the description: everything that is wrong
-    /// with the node, its components and its supervisors, or all connections and policies for lost
-    /// communication that are, else the first other error. No component is made, and no medium, file
+    /// with the node, its networks, components and supervisors; where these components are right,
+    /// all connections and policies for lost communication that are not; else the first other
+    /// error. No component is made, and no medium, file
     /// of variables or journal is opened; keys and files of parameters are read. The computer on
     /// which the node starts may refuse more, such as its [memory](NodeBuilder::locked_memory).
     pub fn check(self) -> Vec<StartError> {
         let mut refused = check_settings(&self);
-        refused.extend(check(self).unwrap_or_else(|refused| refused));
+        let last = check(self, &mut refused).err();
+        refused.extend(last.into_iter().flatten());
         refused
     }
 
-    /// Finds what can be known to be wrong before anything is made.
-    fn checked_name(&mut self) -> Result<NodeName, Vec<StartError>> {
+    /// The name of the node, which starts in Blastema's runtime alone.
+    fn checked_name(&self) -> Result<NodeName, Vec<StartError>> {
         if actix_rt::System::try_current().is_none() {
             return Err(StartError::Runtime.into());
         }
-        let node =
-            NodeName::new(&self.name).map_err(StartError::name_of("the name of the node"))?;
-        self.networks.check(&node)?;
+        Ok(NodeName::new(&self.name).map_err(StartError::name_of("the name of the node"))?)
+    }
+
+    /// Finds what can be known to be wrong with the networks, and with commanders on them.
+    fn check_networks(&mut self, node: &NodeName) -> Result<(), Vec<StartError>> {
+        #[cfg(feature = "network")]
+        self.networks.check(node)?;
         for policy in &self.policies {
             // One that is this node is refused with the policies.
-            let other = policy.commander_node()?.filter(|commander| *commander != node);
+            let other = policy.commander_node()?.filter(|commander| commander != node);
             let Some(commander) = other else { continue };
             let known = self.networks.check_commander(&commander);
             known.map_err(|reason| policy.refused(PolicyPart::Commander, reason))?;
         }
-        Ok(node)
+        Ok(())
     }
 }
 
-/// Finds what is wrong with the networks, or else the tree, or else the rest of the description.
-fn check(mut builder: NodeBuilder) -> Result<Vec<StartError>, Vec<StartError>> {
+/// Finds what is wrong with the networks and the tree, or else with the rest of the description.
+fn check(mut builder: NodeBuilder, refused: &mut Vec<StartError>) -> Result<(), Vec<StartError>> {
+    #[cfg(feature = "network")]
     {
         builder.networks.hosts = Hosts::Numbered(Default::default());
     }
     let node = builder.checked_name()?;
+    refused.extend(builder.check_networks(&node).err().into_iter().flatten());
     // The chain is made for the names of its objects alone.
     builder.placement = ActorPlacement::Here;
     let assembly = NodeAssembly::begin(&mut builder, (node, Incarnation::FIRST))?;
     assembly.read_parameters(builder.parameters)?;
     // Its actuators are there as long as it is.
     let _preparation = assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies)?;
-    let parameters = assembly.check_parameters(&builder.policies).err().into_iter();
-    let connections = assembly.connect_ports(&builder.policies, &builder.connections);
-    let policies = assembly.wrong_policies(&builder.policies);
-    Ok(parameters.chain(connections).chain(policies).collect())
+    refused.extend(assembly.check_parameters(&builder.policies).err());
+    refused.extend(assembly.connect_ports(&builder.policies, &builder.connections));
+    refused.extend(assembly.wrong_policies(&builder.policies));
+    Ok(())
 }
 
 /// Puts a node together, and starts it; undoes that if `end` resolves meanwhile.
@@ -189,6 +199,7 @@ async fn start(
     panics::install_hook();
     let first = |mut refused: Vec<StartError>| refused.swap_remove(0);
     let node = builder.checked_name().map_err(first)?;
+    builder.check_networks(&node).map_err(first)?;
     check_settings(&builder).into_iter().next().map_or(Ok(()), Err)?;
     if builder.locks_memory && !platform::clock_stands() {
         scheduling::lock_memory()?;
@@ -220,7 +231,7 @@ async fn start(
         .set(assembly.node.chain.monitor.clone().recipient());
     assembly.keep_policies(builder.policies)?;
     #[cfg(feature = "unix")]
-    let inspection = assembly.make_inspection(builder.shown_at).await;
+    let inspection = assembly.make_inspection(builder.shown_at.as_deref()).await;
     assembly.enrol_all(tree).await?;
     assembly.declare_insecure_networks();
     assembly.start_sampler(builder.grace)?;
@@ -230,7 +241,8 @@ async fn start(
     if let Some(inspection) = inspection {
         // The fault chain's mailboxes close only when the node has ended.
         let shown = inspection.send(StartInspection::node(&node)).await.unwrap_or(Ok(()));
-        shown.map_err(StartError::Shown)?;
+        let path = builder.shown_at.as_deref().unwrap_or(Path::new(""));
+        shown.map_err(|why| StartError::of_path("inspection_socket", path, why))?;
     }
     if builder.handles_signals {
         node.0.apply_safe_outputs_on_signals()?;
@@ -300,7 +312,7 @@ impl NodeAssembly {
         let lock = match FileLock::acquire_after_predecessor(&file, &self.node.name).await {
             Ok(lock) => Some(lock),
             Err(error @ LockError::InUse { .. }) => {
-                return Err(StartError::Variables { file, reason: error.to_string() });
+                return Err(StartError::of_path("keep_variables", &file, error.to_string()));
             }
             // Where no lock can be, no file can be written either, and that stops no robot.
             Err(LockError::Io(error)) => {
@@ -314,7 +326,7 @@ impl NodeAssembly {
         };
         self.node.held.push(path.clone());
         let kept = self.node.environment.variables().keep_in(path, lock, failed);
-        kept.map_err(|error| StartError::Variables { file, reason: error.to_string() })?;
+        kept.map_err(|error| StartError::of_path("keep_variables", &file, error.to_string()))?;
         self.enrolments.push(middleware(named(KEPT_VARIABLES), None));
         Ok(())
     }
@@ -433,8 +445,8 @@ impl NodeAssembly {
 
     /// It is opened when there is something to be seen.
     #[cfg(feature = "unix")]
-    async fn make_inspection(&mut self, path: Option<PathBuf>) -> Option<Addr<InspectionActor>> {
-        let path = path?;
+    async fn make_inspection(&mut self, path: Option<&Path>) -> Option<Addr<InspectionActor>> {
+        let path = path?.to_owned();
         released_here(&path, PREDECESSOR_TIMEOUT).await;
         self.node.held.push(path.clone());
         let (name, chain) = (named("inspection"), &self.node.chain);

@@ -133,15 +133,9 @@ impl NodeBuilder {
         self
     }
 
-    /// Sets which children the root supervisor restarts together. By default only the failed one.
-    pub fn strategy(mut self, strategy: Strategy) -> Self {
-        self.root = self.root.strategy(strategy);
-        self
-    }
-
     /// Sets how many restarts of each child directly under the root are allowed in one `period`; of
-    /// all together where [`when_exceeded`](Self::when_exceeded) or the
-    /// [`strategy`](Self::strategy) requires it.
+    /// all together where [`when_exceeded`](Self::when_exceeded) or the strategy of the
+    /// [`root`](Self::root) requires it.
     pub fn intensity(mut self, times: u32, period: Duration) -> Self {
         self.root = self.root.intensity(times, period);
         self
@@ -180,7 +174,7 @@ impl NodeBuilder {
     }
 
     /// Shows the node to `blastema monitor`, and to whatever else connects to a Unix socket at this
-    /// path: its [`snapshot`](crate::Node::snapshot) as JSON, and the end. Only processes of the
+    /// path: its [`snapshot`](crate::Node::snapshot), and the end. Only processes of the
     /// same user may look, and nothing can be changed from there. It can be seen from the start on,
     /// and in the safe state.
     ///

@@ -30,7 +30,7 @@ pub(super) fn check_settings(builder: &NodeBuilder) -> Vec<StartError> {
         ActorPlacement::ComponentsHere | ActorPlacement::Here => Ok(()),
     };
     let strategies = builder.strategy_twice.as_ref().map_or(Ok(()), |name| {
-        let (value, cure) = (format!("{name:?} twice"), "hand over one strategy of a name");
+        let (value, cure) = (format!("{name:?} twice"), "hand over one strategy of a name".into());
         Err(StartError::Setting { setting: "recovery", value, cure })
     });
     let mut checks = vec![
@@ -39,13 +39,13 @@ pub(super) fn check_settings(builder: &NodeBuilder) -> Vec<StartError> {
         CALLBACK_LIMIT.check(builder.callback_limit).map_err(StartError::from),
         check_watchdogs(builder),
         strategies,
-        builder.kept_in.as_deref().map_or(Ok(()), check_kept_file),
+        check_path("keep_variables", builder.kept_in.as_deref(), check_file),
     ];
     checks.extend(builder.parameters.iter().map(check_configuration));
     #[cfg(feature = "journal")]
-    checks.extend(builder.journal.as_deref().map(check_journal));
+    checks.push(check_path("journal", builder.journal.as_deref(), check_file));
     #[cfg(feature = "unix")]
-    checks.extend(builder.shown_at.as_deref().map(check_socket));
+    checks.push(check_path("inspection_socket", builder.shown_at.as_deref(), check_socket));
     checks.into_iter().filter_map(Result::err).collect()
 }
 
@@ -84,19 +84,20 @@ fn check_file(path: &Path) -> Result<(), String> {
     }
 }
 
-fn check_kept_file(file: &Path) -> Result<(), StartError> {
-    check_file(file).map_err(|reason| StartError::Variables { file: file.to_owned(), reason })
+/// Refuses the path that this setting gives, if it gives one.
+fn check_path(
+    setting: &'static str,
+    path: Option<&Path>,
+    check: fn(&Path) -> Result<(), String>,
+) -> Result<(), StartError> {
+    let Some(path) = path else { return Ok(()) };
+    check(path).map_err(|reason| StartError::of_path(setting, path, reason))
 }
 
 fn check_configuration(configuration: &Configuration) -> Result<(), StartError> {
     let Configuration::File(file) = configuration else { return Ok(()) };
     let wrong = |reason| StartError::Parameters { file: Some(file.clone()), reason };
     check_file(file).map_err(wrong)
-}
-
-#[cfg(feature = "journal")]
-fn check_journal(file: &Path) -> Result<(), StartError> {
-    check_file(file).map_err(|reason| StartError::Journal { file: file.to_owned(), reason })
 }
 
 /// Refuses two objects of one name, whether components, supervisors or middleware objects.
@@ -113,8 +114,6 @@ pub(super) fn check_names<'a>(
 }
 
 #[cfg(feature = "unix")]
-fn check_socket(path: &Path) -> Result<(), StartError> {
-    let length = path.as_os_str().len();
-    let checked = check_file(path).and_then(|()| check_socket_path(length));
-    checked.map_err(StartError::Shown)
+fn check_socket(path: &Path) -> Result<(), String> {
+    check_file(path).and_then(|()| check_socket_path(path.as_os_str().len()))
 }

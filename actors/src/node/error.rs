@@ -10,7 +10,7 @@ use blastema_core::port::ConnectError;
 use blastema_core::recovery::PlanError;
 use blastema_core::{NodeName, ObjectName};
 use blastema_transports::EndpointError;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::{fmt, io};
 
 /// Why a node did not start. Parts that had started are stopped again.
@@ -84,14 +84,6 @@ pub enum StartError {
     /// The networks cannot be used together.
     #[error("{0}")]
     Network(String),
-    /// The file of the networks, or what overrides it, is wrong.
-    #[error("networks{}: {reason}", of_file(.file.as_ref()))]
-    NetworkFile {
-        /// The file, where there is one.
-        file: Option<PathBuf>,
-        /// What is wrong, where, and what to write.
-        reason: String,
-    },
     /// The keys of the node cannot be used: the file of its key or the roster beside it is missing,
     /// wrong, another's, or open to others.
     #[error("{0}")]
@@ -118,34 +110,15 @@ pub enum StartError {
         /// What is wrong, and what to write.
         reason: String,
     },
-    /// A setting of the node makes no sense.
+    /// A setting of the node makes no sense, or a file or socket that it names cannot be used.
     #[error("{setting} of the node is {value}: {cure}")]
     Setting {
         /// The name of the setting, such as `grace`.
         setting: &'static str,
         /// The value that was given.
         value: String,
-        /// What to write instead.
-        cure: &'static str,
-    },
-    /// The file in which variables are kept cannot be read, set aside where it is damaged, or be
-    /// there at all.
-    #[error("variables cannot be kept in {}: {reason}", file.display())]
-    Variables {
-        /// The path of the file of variables.
-        file: PathBuf,
-        /// What stands in the way.
-        reason: String,
-    },
-    /// The journal of faults cannot be where it was to be: another node writes it, or its path is
-    /// no file's.
-    #[cfg(feature = "journal")]
-    #[error("the journal of faults {}: {reason}", file.display())]
-    Journal {
-        /// The path of the journal.
-        file: PathBuf,
-        /// What stands in the way, and what to do.
-        reason: String,
+        /// What to write instead, or what stands in the way.
+        cure: String,
     },
     /// The configuration of parameters cannot be read, or gives them to a component that takes
     /// none.
@@ -156,9 +129,6 @@ pub enum StartError {
         /// What is wrong, and where.
         reason: String,
     },
-    /// The inspection socket cannot be created.
-    #[error("the node cannot be shown: {0}")]
-    Shown(String),
     /// A watchdog of the process cannot be used.
     #[error("the process cannot be watched: {0}")]
     ProcessWatchdog(String),
@@ -223,6 +193,11 @@ impl fmt::Debug for StartError {
 }
 
 impl StartError {
+    /// The file or socket that this setting names cannot be used.
+    pub(super) fn of_path(setting: &'static str, path: &Path, reason: String) -> StartError {
+        StartError::Setting { setting, value: path.display().to_string(), cure: reason }
+    }
+
     /// What to make of a name that does not parse.
     pub(crate) fn name_of(of: impl fmt::Display) -> impl FnOnce(NameError) -> StartError {
         let of = of.to_string();
@@ -238,7 +213,7 @@ impl From<StartError> for Vec<StartError> {
 
 impl From<SettingError> for StartError {
     fn from(SettingError { setting, value, cure }: SettingError) -> Self {
-        StartError::Setting { setting, value, cure }
+        StartError::Setting { setting, value, cure: cure.to_owned() }
     }
 }
 

@@ -1,9 +1,8 @@
 //! The inspection socket: a Unix socket at which other processes of the machine see the node.
 //!
-//! A client that connects gets one [`NodeSnapshot`](super::NodeSnapshot) as JSON, and the end of
+//! A client that connects gets one [snapshot](super::Node::snapshot), and the end of
 //! the stream. One that sends a line at once, a [`ComponentOrder`] as JSON, gets the [`OrderReply`]
-//! instead. The socket stays open in the safe state, and closes with the node. A socket that is
-//! removed is created again.
+//! instead. The socket stays open in the safe state, and closes with the node.
 
 use super::{ComponentOrder, Node, NodeState, OrderReply, OrderVerb, Shared};
 use crate::platform::file_lock::HeldHere;
@@ -13,14 +12,13 @@ use actix::prelude::*;
 use blastema_transports::unix::{AllowedUsers, PathListener, PeerRole, explain};
 use futures_util::StreamExt;
 use futures_util::stream::FuturesUnordered;
-use std::future;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Weak};
 use std::time::Duration;
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::UnixStream;
 use tokio::sync::watch;
-use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
+use tokio::time::{sleep, timeout};
 use tracing::{info, warn};
 
 /// Processes of the owner may connect, and no others.
@@ -32,8 +30,6 @@ const ROOT: u32 = 0;
 const CLIENTS_MAX: usize = 8;
 /// A client that reads a large snapshot has read it by then, also on a busy machine.
 const READ_TIMEOUT: Duration = Duration::from_secs(1);
-/// How often the socket is checked, which takes microseconds.
-const SOCKET_CHECK_INTERVAL: Duration = Duration::from_millis(500);
 /// A client that orders sends its line at once; one that ends its side without a line is shown the
 /// node at once, and any other after this.
 const ORDER_TIMEOUT: Duration = Duration::from_millis(50);
@@ -70,12 +66,15 @@ impl InspectionActor {
         InspectionActor { path: path.into(), node: Weak::new(), state, reports }
     }
 
-    fn show(&self, listener: Option<PathListener>, context: &mut Context<Self>) {
+    /// Makes the socket, and serves it until the node has stopped.
+    ///
+    /// # Errors
+    /// Why that is not possible, and what helps.
+    fn show(&self, context: &mut Context<Self>) -> Result<(), String> {
+        let listener = PathListener::open(&self.path, MODE);
         let socket = InspectionSocket {
+            listener: listener.map_err(|error| explain(&self.path, &error))?,
             path: self.path.clone(),
-            reports: self.reports.clone(),
-            listener,
-            reported: None,
             refused: false,
             _held: HeldHere::new(self.path.to_path_buf()),
         };
@@ -88,12 +87,8 @@ impl InspectionActor {
             }
         };
         context.spawn(until_the_end.into_actor(self));
+        Ok(())
     }
-}
-
-/// Makes the socket. Says what helps where that cannot be done.
-fn open(path: &Arc<Path>) -> Result<PathListener, String> {
-    PathListener::open(path, MODE).map_err(|error| explain(path, &error))
 }
 
 answers_the_monitor!(InspectionActor);
@@ -105,7 +100,10 @@ impl Actor for InspectionActor {
 impl Supervised for InspectionActor {
     /// What showed the node went with the panic, and the socket with it: it is made again.
     fn restarting(&mut self, context: &mut Context<Self>) {
-        self.show(None, context);
+        if let Err(reason) = self.show(context) {
+            let detail = format!("the node is not shown any more: {reason}");
+            self.reports.declare("inspection", detail);
+        }
     }
 }
 
@@ -118,20 +116,14 @@ impl Handler<StartInspection> for InspectionActor {
         context: &mut Context<Self>,
     ) -> Self::Result {
         self.node = node;
-        let listener = open(&self.path)?;
-        self.show(Some(listener), context);
-        Ok(())
+        self.show(context)
     }
 }
 
 /// The socket while it is served.
 struct InspectionSocket {
+    listener: PathListener,
     path: Arc<Path>,
-    reports: FaultReports,
-    /// `None` while the socket cannot be created.
-    listener: Option<PathListener>,
-    /// Whether the last report was that it cannot; unknown at first, and after a restart.
-    reported: Option<bool>,
     /// Whether a client was refused. Only the first is logged: it may try again for ever.
     refused: bool,
     /// Dropped after the socket.
@@ -141,17 +133,14 @@ struct InspectionSocket {
 impl InspectionSocket {
     async fn serve(mut self, node: &Weak<Shared>) {
         let mut clients = FuturesUnordered::new();
-        let mut checks = interval(SOCKET_CHECK_INTERVAL);
-        checks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             tokio::select! {
-                client = accept(self.listener.as_ref()), if clients.len() < CLIENTS_MAX => {
-                    if self.is_allowed(&client) {
-                        clients.push(answer(client, node));
-                    }
-                }
+                client = self.listener.accept(), if clients.len() < CLIENTS_MAX => match client {
+                    Ok(client) if self.is_allowed(&client) => clients.push(answer(client, node)),
+                    Ok(_) => {}
+                    Err(_) => sleep(ACCEPT_RETRY_DELAY).await,
+                },
                 Some(()) = clients.next() => {}
-                _ = checks.tick() => self.check(),
             }
         }
     }
@@ -165,29 +154,6 @@ impl InspectionSocket {
         }
         allowed.is_ok()
     }
-
-    /// Creates the socket again if it was removed. A failure of that is a fault until it succeeds.
-    fn check(&mut self) {
-        if self.listener.as_ref().is_some_and(PathListener::stands) {
-            return;
-        }
-        // Its lock is given back first.
-        self.listener = None;
-        match open(&self.path) {
-            Ok(listener) => {
-                info!(path = %self.path.display(), "the inspection socket was removed, and is created again");
-                self.listener = Some(listener);
-                if self.reported.replace(false) != Some(false) {
-                    self.reports.clear("inspection");
-                }
-            }
-            Err(reason) if self.reported.replace(true) != Some(true) => {
-                let detail = format!("the node is not shown any more: {reason}");
-                self.reports.declare("inspection", detail);
-            }
-            Err(_) => {}
-        }
-    }
 }
 
 /// Gives a client the snapshot, or carries out its order.
@@ -195,7 +161,7 @@ async fn answer(mut client: UnixStream, node: &Weak<Shared>) {
     let order = read_order(&mut client).await;
     let text = match (order, node.upgrade().map(Node)) {
         (Some(order), node) => carry_out(node, &order).await,
-        (None, Some(node)) => node.snapshot().await.to_json() + "\n",
+        (None, Some(node)) => node.snapshot().await + "\n",
         (None, None) => return,
     };
     // A client may disconnect before it has read all.
@@ -224,14 +190,4 @@ async fn carry_out(node: Option<Node>, order: &[u8]) -> String {
         (Err(error), _) => OrderReply::refused(&format!("this is no order: {error}")),
     };
     serde_json::to_string(&reply).unwrap_or_default() + "\n"
-}
-
-async fn accept(listener: Option<&PathListener>) -> UnixStream {
-    let Some(listener) = listener else { return future::pending().await };
-    loop {
-        match listener.accept().await {
-            Ok(client) => return client,
-            Err(_) => sleep(ACCEPT_RETRY_DELAY).await,
-        }
-    }
 }

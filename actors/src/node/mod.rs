@@ -46,10 +46,9 @@ pub use lost_communication::{
 pub use network::{
     Cable, Direction, Impairment, IsolateError, Link, MediumKind, MemoryMedium, Network, NotReady,
 };
-pub use network_rows::{LinkName, MediumRow, NetworkRow, RouteRow};
+#[cfg(feature = "network")]
+pub use network_rows::NetworkRow;
 pub use order::{ComponentOrder, OrderReply, OrderRow, OrderVerb};
-pub use snapshot::NetworkSnapshot;
-pub use snapshot::NodeSnapshot;
 pub use tree::{Subtree, SupervisorSpec};
 
 use crate::actuator::{self, ActuatorRow, Commander};
@@ -60,7 +59,6 @@ use crate::condition::{
     Condition, ConditionError, ConditionStatus, Connected, Heartbeat, heartbeat,
 };
 use crate::host::reference::ActorRef;
-use crate::host::spec::ChildSpec;
 use crate::liveness::sampler::Running;
 use crate::liveness::threads;
 use crate::liveness::threads::ThreadRow;
@@ -71,6 +69,8 @@ use crate::platform;
 use crate::platform::file_lock::released_here;
 use crate::platform::systemd::Systemd;
 use crate::topic::{Publisher, TopicRow};
+#[cfg(feature = "trees")]
+use crate::trees::{TreeChangeRow, TreeNodeRow};
 use crate::variable::{self, VariableRef};
 use assembly::FaultChain;
 use assembly::Networks;
@@ -376,11 +376,24 @@ impl Node {
         NodeHealth::of(self).await
     }
 
-    /// Everything that the node knows of itself now: table, threads, links, routes, sessions,
-    /// claims, actuators, topics, dead letters, faults. It can be read at any time; a part that
-    /// does not come within a second is `None`.
-    pub async fn snapshot(&self) -> NodeSnapshot {
-        NodeSnapshot::of(self).await
+    /// Everything that the node knows of itself now, as one JSON document on one line: table,
+    /// threads, links, routes, sessions, claims, actuators, topics, dead letters, faults. Spans are
+    /// in milliseconds (`_ms`). It can be read at any time; a part that does not come within a
+    /// second is `null`, an empty list means that there is nothing.
+    pub async fn snapshot(&self) -> String {
+        snapshot::document(self).await.to_string()
+    }
+
+    /// Returns the nodes of behaviour trees that are not idle.
+    #[cfg(feature = "trees")]
+    pub fn trees(&self) -> Vec<TreeNodeRow> {
+        self.0.environment.trees().nodes()
+    }
+
+    /// Returns the last ticks of behaviour trees in which nodes have changed.
+    #[cfg(feature = "trees")]
+    pub fn tree_changes(&self) -> Vec<TreeChangeRow> {
+        self.0.environment.trees().changes()
     }
 
     /// Returns the threads that components run on: what occupies them, their utilisation, and their

@@ -4,7 +4,6 @@ mod beacons;
 pub(in crate::node) mod checks;
 pub(in crate::node) mod description;
 mod exposure;
-pub(in crate::node) mod file;
 pub(in crate::node) mod hosts;
 mod node;
 pub(in crate::node) mod services;
@@ -20,9 +19,6 @@ use blastema_contract::transport::{Cut, Impair, MediumAddress, Partition, Restor
 use blastema_transports::endpoint::NamedHost;
 use blastema_transports::frame_medium::FrameMedium;
 use blastema_transports::{Endpoint, EndpointError, FaultInjector, FrameTransport, Reach};
-#[cfg(feature = "ip")]
-use blastema_transports::{TcpConfig, UdpConfig};
-use serde::Deserialize;
 use std::fmt;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::time::Duration;
@@ -54,32 +50,22 @@ pub use blastema_transports::MemoryMedium;
 #[must_use = "a network does nothing until it is given to a node"]
 pub struct Network {
     name: String,
+    /// The text of its endpoint, which may name a host; empty for a medium of the application's own.
+    endpoint: String,
     medium: Medium,
-    /// What an end in memory is an end of.
+    /// The medium whose end a `memory://` endpoint is.
     memory: MemoryMedium,
     faults: Option<u64>,
-    settings: NetworkSettings,
-}
-
-/// A network as code or [a file](file) describes it.
-#[derive(Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct NetworkSettings {
-    endpoint: String,
-    #[serde(default)]
     insecure: bool,
-    interface: Option<String>,
     /// The group by which beacons are sent.
     beacons: Option<String>,
-    medium: Option<MediumKind>,
+    kind: Option<MediumKind>,
     discover: Option<Admitted>,
-    #[serde(default, rename = "peers", deserialize_with = "file::links")]
     links: Vec<Link>,
 }
 
 /// What a network's medium is like. Conditions over it have a timeout accordingly.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum MediumKind {
     /// A cable: 1.5 s.
@@ -101,19 +87,10 @@ impl MediumKind {
     }
 }
 
-/// Who is admitted, as it was written.
-#[derive(Debug, Deserialize)]
-#[serde(untagged, expecting = "it is \"any\", or a list of nodes such as [\"arm\", \"head\"]")]
+/// The nodes that are discovered.
 enum Admitted {
-    AnyNode(AnyNodeWord),
+    AnyNode,
     Only(Vec<String>),
-}
-
-/// The word for nodes of any name.
-#[derive(Debug, Deserialize)]
-#[serde(rename_all = "lowercase")]
-enum AnyNodeWord {
-    Any,
 }
 
 enum Medium {
@@ -142,10 +119,7 @@ impl Medium {
 
 impl fmt::Debug for Network {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Network")
-            .field("name", &self.name)
-            .field("links", &self.settings.links)
-            .finish()
+        f.debug_struct("Network").field("name", &self.name).field("links", &self.links).finish()
     }
 }
 
@@ -157,23 +131,15 @@ impl Network {
     /// A text that is wrong is [`StartError::Endpoint`](crate::StartError::Endpoint) when the node
     /// starts.
     pub fn new(name: &str, endpoint: &str) -> Self {
-        let endpoint = endpoint.to_owned();
-        Network::described(name, NetworkSettings { endpoint, ..NetworkSettings::default() })
-    }
-
-    fn described(name: &str, mut settings: NetworkSettings) -> Self {
-        let parsed = match NamedHost::find(&settings.endpoint) {
+        let parsed = match NamedHost::find(endpoint) {
             Some(named) => named.parse((Ipv4Addr::UNSPECIFIED, 0).into()),
-            None => Endpoint::parse(&settings.endpoint),
+            None => Endpoint::parse(endpoint),
         };
-        let medium = match parsed {
-            Ok((endpoint, insecure)) => {
-                settings.insecure |= insecure;
-                Medium::At(endpoint)
-            }
-            Err(error) => Medium::Unreadable(error),
+        let (medium, insecure) = match parsed {
+            Ok((endpoint, insecure)) => (Medium::At(endpoint), insecure),
+            Err(error) => (Medium::Unreadable(error), false),
         };
-        Network { settings, ..Network::over(name, medium) }
+        Network { endpoint: endpoint.to_owned(), insecure, ..Network::over(name, medium) }
     }
 
     /// A medium of the application's own.
@@ -183,33 +149,38 @@ impl Network {
         Network::over(name, Medium::Own { make, name: medium_name, reach })
     }
 
-    /// UDP, at this address of our own, which is no group's. Links name the neighbours; frames from
-    /// other addresses are dropped.
+    /// UDP, at this address of our own, or of a group that is heard. Links name the neighbours;
+    /// frames from other addresses are dropped.
     #[cfg(feature = "ip")]
     pub fn udp(name: &str, bind: SocketAddr) -> Self {
-        let mut config = UdpConfig::default();
-        config.bind = bind;
-        Network::over(name, Medium::At(Endpoint::Udp(config)))
+        Network::new(name, &format!("udp://{bind}"))
     }
 
     /// A TCP network: `bind` is this node's address; each neighbour has one connection.
     #[cfg(feature = "ip")]
     pub fn tcp(name: &str, bind: SocketAddr) -> Self {
-        let mut config = TcpConfig::default();
-        config.bind = bind;
-        Network::over(name, Medium::At(Endpoint::Tcp(config)))
+        Network::new(name, &format!("tcp://{bind}"))
     }
 
     /// A network between nodes of one process, under any clock: for tests. `own` names this node's
     /// end of the medium.
     pub fn memory(name: &str, medium: &MemoryMedium, own: &str) -> Self {
-        let end = Medium::At(Endpoint::Memory(own.to_owned()));
-        Network { memory: medium.clone(), ..Network::over(name, end) }
+        Network { memory: medium.clone(), ..Network::new(name, &format!("memory://{own}")) }
     }
 
     fn over(name: &str, medium: Medium) -> Self {
-        let (name, memory) = (name.to_owned(), MemoryMedium::of_this_process());
-        Network { name, medium, memory, faults: None, settings: NetworkSettings::default() }
+        Network {
+            name: name.to_owned(),
+            endpoint: String::new(),
+            medium,
+            memory: MemoryMedium::of_this_process(),
+            faults: None,
+            insecure: false,
+            beacons: None,
+            kind: None,
+            discover: None,
+            links: Vec::new(),
+        }
     }
 
     /// Accepts that every station on this network can read its traffic and command this robot: the
@@ -220,7 +191,7 @@ impl Network {
     /// The word changes nothing about a network that stays within this computer. A node that has
     /// keys refuses it. See the [manual](crate::manual::security).
     pub fn insecure(mut self) -> Self {
-        self.settings.insecure = true;
+        self.insecure = true;
         self
     }
 
@@ -232,7 +203,7 @@ impl Network {
 
     /// Adds a neighbour.
     pub fn link(mut self, link: Link) -> Self {
-        self.settings.links.push(link);
+        self.links.push(link);
         self
     }
 
@@ -240,14 +211,14 @@ impl Network {
     /// these names get a link. Without names, this node only sends beacons of its own.
     pub fn discover<'a>(mut self, nodes: impl IntoIterator<Item = &'a str>) -> Self {
         let nodes = nodes.into_iter().map(str::to_owned);
-        self.settings.discover = Some(Admitted::Only(nodes.collect()));
+        self.discover = Some(Admitted::Only(nodes.collect()));
         self
     }
 
     /// Discovers neighbours of any name by their beacons. On a sealed network these are the nodes
     /// of the roster.
     pub fn discover_anybody(mut self) -> Self {
-        self.settings.discover = Some(Admitted::AnyNode(AnyNodeWord::Any));
+        self.discover = Some(Admitted::AnyNode);
         self
     }
 
@@ -256,15 +227,7 @@ impl Network {
     /// then. The nodes to admit are set by [`discover`](Network::discover) or
     /// [`discover_anybody`](Network::discover_anybody). For UDP and TCP.
     pub fn beacons(mut self, group: &str) -> Self {
-        self.settings.beacons = Some(group.to_owned());
-        self
-    }
-
-    /// Sets the network interface, such as `eth0`. When the interface loses its carrier, its links
-    /// are declared down at once instead of after missing hellos. Not needed if the socket is bound
-    /// to an address of one interface.
-    pub fn interface(mut self, name: &str) -> Self {
-        self.settings.interface = Some(name.to_owned());
+        self.beacons = Some(group.to_owned());
         self
     }
 
@@ -272,22 +235,23 @@ impl Network {
     /// conditions](crate::manual::conditions#timeouts). Otherwise it is wireless where the system
     /// says so of the network's interface, and else wired.
     pub fn medium(mut self, kind: MediumKind) -> Self {
-        self.settings.medium = Some(kind);
+        self.kind = Some(kind);
         self
     }
 
-    /// A socket that is bound to one address uses the interface that has it.
+    /// The interface of its endpoint. When it loses its carrier, links are declared down at once
+    /// instead of after missing hellos. A socket that is bound to one address uses the interface
+    /// that has it.
     fn used_interface(&self) -> Option<Interface> {
-        let (named, bind) = self.medium.socket().unzip();
-        let named = self.settings.interface.as_deref().or(named.flatten());
+        let (named, bind) = self.medium.socket()?;
         let named = named.map(|name| Interface::Named(name.to_owned()));
-        named.or_else(|| Interface::of(bind?.ip()))
+        named.or_else(|| Interface::of(bind.ip()))
     }
 
     /// What the medium is like, as the description or the system says.
     pub(in crate::node) fn medium_kind(&self) -> MediumKind {
         let is_wireless = || self.used_interface().is_some_and(|used| used.is_wireless());
-        self.settings.medium.unwrap_or_else(|| match is_wireless() {
+        self.kind.unwrap_or_else(|| match is_wireless() {
             true => MediumKind::Wireless,
             false => MediumKind::Wired,
         })
@@ -306,81 +270,41 @@ impl Network {
 #[must_use = "a link does nothing until it is given to a network"]
 pub struct Link {
     neighbour: String,
-    settings: LinkSettings,
-}
-
-/// A neighbour as code or [a file](file) describes it.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct LinkSettings {
-    address: Remote,
-    #[serde(rename = "link")]
+    /// As the medium writes it.
+    address: String,
     name: Option<String>,
     cost: Option<u16>,
-    #[serde(default, deserialize_with = "file::span")]
-    hello_every: Option<Duration>,
-    #[serde(default, deserialize_with = "file::span")]
-    expected_within: Option<Duration>,
-}
-
-impl From<Remote> for LinkSettings {
-    fn from(address: Remote) -> Self {
-        let (hello_every, expected_within) = (None, None);
-        LinkSettings { address, name: None, cost: None, hello_every, expected_within }
-    }
-}
-
-/// Where a neighbour is.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(from = "String")]
-enum Remote {
-    At(MediumAddress),
-    /// As its medium writes it.
-    Written(String),
-}
-
-impl From<String> for Remote {
-    fn from(written: String) -> Self {
-        Remote::Written(written)
-    }
+    hello_every: Duration,
+    expected_within: Duration,
 }
 
 impl Link {
     /// The node called `neighbour`, at this address.
     pub fn new(neighbour: &str, remote: SocketAddr) -> Self {
-        Link::at(neighbour, Remote::At(MediumAddress::Ip(remote)))
+        Link::to(neighbour, &remote.to_string())
     }
 
     /// The node called `neighbour`, at this address as its medium writes it: `10.0.0.2:7400`,
-    /// `module2.local:7400` (looked up once, when the node starts), `/run/module2.sock`, a number on a CAN bus; empty on a serial line, which has one
-    /// other end.
+    /// `module2.local:7400` (looked up once, when the node starts), `/run/module2.sock`, a number on
+    /// a CAN bus, the name of an end in memory; empty on a serial line, which has one other end.
     ///
     /// An address that is wrong is [`StartError::Endpoint`](crate::StartError::Endpoint) when the
     /// node starts.
     pub fn to(neighbour: &str, address: &str) -> Self {
-        Link::at(neighbour, Remote::Written(address.to_owned()))
-    }
-
-    /// The node called `neighbour`, at this end of a memory medium.
-    pub fn in_memory(neighbour: &str, end: &str) -> Self {
-        Link::at(neighbour, Remote::At(MediumAddress::Memory(end.into())))
-    }
-
-    fn at(neighbour: &str, remote: Remote) -> Self {
-        Link { neighbour: neighbour.to_owned(), settings: remote.into() }
-    }
-
-    /// The hello interval, and how soon the first hello must arrive.
-    fn times(&self) -> [Duration; 2] {
-        let LinkSettings { hello_every, expected_within, .. } = self.settings;
-        let hello_every = hello_every.unwrap_or(HELLO_INTERVAL.default);
-        [hello_every, expected_within.unwrap_or(EXPECTED_WITHIN.default)]
+        Link {
+            neighbour: neighbour.to_owned(),
+            address: address.to_owned(),
+            name: None,
+            cost: None,
+            hello_every: HELLO_INTERVAL.default,
+            expected_within: EXPECTED_WITHIN.default,
+        }
     }
 
     /// Sets the link's name, unique within the node. By default it is the network's name if the
     /// link is the only one there, else both names, as in `ethernet/module2`.
     pub fn named(mut self, name: &str) -> Self {
-        self.settings.name = Some(name.to_owned());
+        self.name = Some(name.to_owned());
         self
     }
 
@@ -388,7 +312,7 @@ impl Link {
     /// more on a medium below one megabyte per second. While a link loses hellos, its cost is
     /// higher than set.
     pub fn cost(mut self, cost: u16) -> Self {
-        self.settings.cost = Some(cost);
+        self.cost = Some(cost);
         self
     }
 
@@ -396,7 +320,7 @@ impl Link {
     /// longer, so that hellos take at most a twentieth of its rate. The neighbour declares the link
     /// down after three and a half intervals without a hello.
     pub fn hello_every(mut self, interval: Duration) -> Self {
-        self.settings.hello_every = Some(interval);
+        self.hello_every = interval;
         self
     }
 
@@ -405,7 +329,7 @@ impl Link {
     /// down* until a hello arrives. At least one hello interval; [`Duration::MAX`] for a neighbour
     /// that may be absent.
     pub fn expected_within(mut self, span: Duration) -> Self {
-        self.settings.expected_within = Some(span);
+        self.expected_within = span;
         self
     }
 }

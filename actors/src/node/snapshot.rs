@@ -1,125 +1,69 @@
-//! The state of a node at one moment, for display and for tools.
+//! The state of a node at one moment as one JSON document, for display and for tools.
 
 mod network;
-
-pub use network::NetworkSnapshot;
 
 use super::{Node, NodeState};
 use crate::actuator::ActuatorRow;
 use crate::liveness::threads::{ThreadRow, ThreadState};
-use crate::messaging::dead_letters::DeadLetterSnapshot;
 use crate::platform;
-use crate::topic::TopicRow;
 #[cfg(feature = "trees")]
-use crate::trees::{TreeChangeRow, TreeNodeRow};
+use crate::trees::TreeChangeRow;
 use blastema_core::delivery::dead_letters::DeadLetterCount;
-use blastema_core::detection::{FaultEntry, FaultRecord, MonitorRow, ObjectKind};
+use blastema_core::detection::{FaultEntry, MonitorRow, ObjectKind};
 use blastema_core::lease::LeaseStatus;
-use blastema_core::{Incarnation, Instant, NodeName, ObjectName};
+use blastema_core::{Instant, NodeName, ObjectName};
 use futures_util::future::join;
 use serde_json::{Value, json};
 use std::future::Future;
 use std::time::Duration;
 
-/// How long the parts of the picture are waited for, all at once. What does not come by then is not
-/// known, so that a node whose network hangs still shows the rest.
+/// How long the parts of the document are waited for, all at once. What does not come by then is
+/// `null`, so that a node whose network hangs still shows the rest.
 pub(super) const PART_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// The state of a node at one moment. From [`Node::snapshot`]. A part is `None` if the actor that
-/// keeps it did not answer within a second; an empty list means that there is nothing.
-#[derive(Clone, Debug)]
-#[non_exhaustive]
-pub struct NodeSnapshot {
-    /// The name of the node.
-    pub node: NodeName,
-    /// The incarnation of the node that runs now.
-    pub incarnation: Incarnation,
-    /// How it is.
-    pub state: NodeState,
-    /// When this was seen, on the node's clock.
-    pub seen_at: Instant,
-    /// The monitor's table: components, supervisors, links, neighbours, objects of the middleware.
-    pub table: Option<Vec<MonitorRow>>,
-    /// The threads that components live on.
-    pub threads: Vec<ThreadRow>,
-    /// The node's record of other nodes.
-    pub network: NetworkSnapshot,
-    /// The node's actuators, and the commander of each.
-    pub actuators: Vec<ActuatorRow>,
-    /// The topics that objects of the node have named.
-    pub topics: Vec<TopicRow>,
-    /// The nodes of behaviour trees that are not idle.
-    #[cfg(feature = "trees")]
-    pub trees: Vec<TreeNodeRow>,
-    /// The last ticks of behaviour trees in which nodes have changed.
-    #[cfg(feature = "trees")]
-    pub tree_changes: Vec<TreeChangeRow>,
-    /// What was not delivered.
-    pub dead_letters: DeadLetterSnapshot,
-    /// The record of faults.
-    pub faults: Option<FaultRecord>,
-}
-
-impl NodeSnapshot {
-    pub(super) async fn of(node: &Node) -> Self {
-        let own = join(in_time(node.table()), in_time(node.faults()));
-        let (network, own) = join(NetworkSnapshot::of(node), own).await;
-        let (table, faults) = own;
-        NodeSnapshot {
-            node: node.name().clone(),
-            incarnation: node.incarnation(),
-            state: node.state(),
-            table,
-            threads: node.threads(),
-            network,
-            actuators: node.actuators(),
-            topics: node.topics(),
-            #[cfg(feature = "trees")]
-            trees: node.0.environment.trees().nodes(),
-            #[cfg(feature = "trees")]
-            tree_changes: node.0.environment.trees().changes(),
-            dead_letters: node.dead_letters().snapshot(),
-            faults,
-            seen_at: platform::now(),
-        }
+/// Everything that the node knows of itself. Spans are in milliseconds (`_ms`); unknown values are
+/// `null`.
+pub(super) async fn document(node: &Node) -> Value {
+    let own = join(in_time(node.table()), in_time(node.faults()));
+    #[cfg(feature = "network")]
+    let (network, own) = join(network::NetworkParts::of(node), own).await;
+    #[cfg(not(feature = "network"))]
+    let own = own.await;
+    let (table, faults) = own;
+    let (seen_at, state) = (platform::now(), node.state());
+    let faults = faults.as_ref();
+    let entry = |entry: &FaultEntry| fault(entry, seen_at);
+    let mut document = json!({
+        "node": node.name().as_str(),
+        "incarnation": node.incarnation().0,
+        "state": match state {
+            NodeState::Starting => "starting",
+            NodeState::Running => "running",
+            NodeState::InSafeState { .. } => "in safe state",
+            NodeState::Stopped => "stopped",
+        },
+        "reason": null,
+        "table": table.as_deref().map(|rows| rows_of(rows, object)),
+        "threads": rows_of(&node.threads(), thread),
+        "actuators": rows_of(&node.actuators(), actuator),
+        "topics": node.topics(),
+        "dead_letters": rows_of(&node.dead_letters().counts(), dead_letter),
+        "dead_letters_beyond": node.dead_letters().beyond(),
+        "faults": faults.map(|record| rows_of(&record.entries, entry)),
+        "faults_dropped": faults.map(|record| record.dropped),
+    });
+    if let NodeState::InSafeState { reason } = state {
+        document["reason"] = reason.into();
     }
-
-    /// Returns the snapshot as one JSON document, on one line. Spans are in milliseconds (`_ms`);
-    /// unknown values are `null`.
-    pub fn to_json(&self) -> String {
-        let (state, reason) = match &self.state {
-            NodeState::Starting => ("starting", None),
-            NodeState::Running => ("running", None),
-            NodeState::InSafeState { reason } => ("in safe state", Some(reason)),
-            NodeState::Stopped => ("stopped", None),
-        };
-        let faults = self.faults.as_ref();
-        let entry = |entry: &FaultEntry| fault(entry, self.seen_at);
-        let document = json!({
-            "node": self.node.as_str(),
-            "incarnation": self.incarnation.0,
-            "state": state,
-            "reason": reason,
-            "table": self.table.as_deref().map(|rows| rows_of(rows, object)),
-            "threads": rows_of(&self.threads, thread),
-            "actuators": rows_of(&self.actuators, actuator),
-            "topics": self.topics,
-            "dead_letters": rows_of(&self.dead_letters.counts, dead_letter),
-            "dead_letters_beyond": self.dead_letters.beyond,
-            "faults": faults.map(|record| rows_of(&record.entries, entry)),
-            "faults_dropped": faults.map(|record| record.dropped),
-        });
-        #[cfg(feature = "trees")]
-        let document = {
-            let mut document = document;
-            let change = |row: &TreeChangeRow| tree_change(row, self.seen_at);
-            document["trees"] = json!(self.trees);
-            document["tree_changes"] = rows_of(&self.tree_changes, change).into();
-            document
-        };
-        let document = self.network.shown_in(document);
-        document.to_string()
+    #[cfg(feature = "trees")]
+    {
+        let change = |row: &TreeChangeRow| tree_change(row, seen_at);
+        document["trees"] = json!(node.trees());
+        document["tree_changes"] = rows_of(&node.tree_changes(), change).into();
     }
+    #[cfg(feature = "network")]
+    network.show_in(node, &mut document);
+    document
 }
 
 pub(super) async fn in_time<T>(part: impl Future<Output = T>) -> Option<T> {
@@ -275,44 +219,8 @@ mod tests {
     #[test]
     fn a_part_that_does_not_answer_is_not_known_and_one_that_is_empty_is() {
         paused(async {
-            let picture = NodeSnapshot {
-                node: NodeName::new("n").unwrap(),
-                incarnation: Incarnation(1),
-                state: NodeState::Running,
-                seen_at: Instant::ORIGIN,
-                table: in_time(future::ready(Vec::new())).await,
-                threads: Vec::new(),
-                network: NetworkSnapshot {
-                    networks: Vec::new(),
-                    media: in_time(future::ready(Vec::new())).await,
-                    roster: in_time(future::ready(Vec::new())).await,
-                    links: in_time(future::ready(Vec::new())).await,
-                    routes: in_time(future::pending()).await,
-                    sessions: in_time(future::pending()).await,
-                    claims: Vec::new(),
-                    services: Vec::new(),
-                    forbidden: Vec::new(),
-                },
-                actuators: Vec::new(),
-                topics: Vec::new(),
-                #[cfg(feature = "trees")]
-                trees: Vec::new(),
-                #[cfg(feature = "trees")]
-                tree_changes: Vec::new(),
-                dead_letters: DeadLetterSnapshot::default(),
-                faults: in_time(future::pending()).await,
-            };
-
-            let seen: Value = serde_json::from_str(&picture.to_json()).unwrap();
-
-            for silent in ["faults", "faults_dropped"] {
-                assert_eq!(seen.get(silent), Some(&Value::Null), "{silent}");
-            }
-            for empty in ["table", "threads"] {
-                assert_eq!(seen[empty], json!([]), "{empty}");
-            }
-            assert_eq!(seen.get("sessions"), Some(&Value::Null));
-            assert_eq!(seen.get("links"), Some(&json!([])));
+            assert_eq!(in_time(future::pending::<Vec<MonitorRow>>()).await, None);
+            assert_eq!(in_time(future::ready([0; 0])).await, Some([]));
         });
     }
 }

@@ -198,12 +198,6 @@ impl SupervisorSpec {
         self
     }
 
-    /// The strategy of a supervisor that was not named by the user.
-    pub(super) fn strategy(mut self, strategy: Strategy) -> Self {
-        self.rules.strategy = strategy;
-        self
-    }
-
     /// It is called `root`, and its end is the node's safe state.
     pub(super) fn rooted(mut self) -> Self {
         self.rules.root = true;

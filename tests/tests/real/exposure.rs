@@ -121,7 +121,7 @@ fn a_network_that_leaves_the_computer_starts_only_when_it_is_insecure_and_is_sho
             let row = &node.networks()[0];
             assert_eq!((&*row.network, &*row.medium), ("lan", medium));
             assert!(row.insecure && row.reach == Reach::Network, "{row:?}");
-            let json = node.snapshot().await.to_json();
+            let json = node.snapshot().await;
             let shown = format!(r#""insecure":true,"medium":"{medium}""#);
             assert!(json.contains(&shown), "{shown} in {json}");
             node.shutdown().await;

@@ -124,7 +124,10 @@ fn a_process_plays_its_role() {
         let unseen = Node::builder("m")
             .child(ChildSpec::new("lamp", || Lamp))
             .inspection_socket("/no/m.window");
-        assert!(matches!(unseen.start().await, Err(StartError::Shown(_))));
+        assert!(matches!(
+            unseen.start().await,
+            Err(StartError::Setting { setting: "inspection_socket", .. })
+        ));
         fail_after_a_network(free_addresses(1)[0]).await;
         assert!(settled(before).await <= before);
 

@@ -36,8 +36,7 @@ fn a_leaf_that_does_not_return_is_named_by_its_path_and_its_tree_begins_again() 
         let is_check = |fault: &Fault| fault.kind == FaultKind::CheckFailed;
         let named = next_fault(&mut faults, is_check, "the leaf is named").await;
         assert_eq!(named.detail, "leaf left/grip: it did not return, and kept the tree's thread");
-        let goes_on =
-            async || node.snapshot().await.trees.iter().any(|row| row.type_name == "Sleep");
+        let goes_on = async || node.trees().iter().any(|row| row.type_name == "Sleep");
         until(goes_on, "the tree goes on").await;
         drop(release);
         node.shutdown().await;

@@ -81,7 +81,7 @@ fn tree(leaves: &TreeLeaves, tree: &str) -> ChildSpec<BehaviorTree> {
 
 /// Each change of the tree that is kept, without its tick.
 async fn changes(node: &TestNode) -> Vec<String> {
-    node.snapshot().await.tree_changes.into_iter().map(|row| row.changes).collect()
+    node.tree_changes().into_iter().map(|row| row.changes).collect()
 }
 
 async fn rover(text: &str) -> (TestNode, Log) {
@@ -139,7 +139,7 @@ async fn a_reactive_tree_returns_when_the_operator_is_lost_and_goes_on_when_he_i
     rover.actor::<BehaviorTree>("tree").unwrap().deactivate();
     rover.settle().await;
     assert_eq!(log.take(), ["teleoperation ends"], "a tree that leaves work halts all");
-    let rows = rover.snapshot().await.trees;
+    let rows = rover.trees();
     assert!(rows.iter().all(|row| row.answer != "RUNNING"), "{rows:?}");
 }
 
@@ -552,7 +552,7 @@ async fn leaves_with_almost_the_same_timeout_have_conditions_of_their_own() {
     let _beats = node.heartbeat("beat", 100 * MS).unwrap();
     node.advance(SECOND).await;
     node.expect_no_faults().await;
-    assert!(node.snapshot().await.trees.iter().any(|row| row.path == "Sleep::4"));
+    assert!(node.trees().iter().any(|row| row.path == "Sleep::4"));
 }
 
 struct Arm;
@@ -583,7 +583,7 @@ async fn leaves_steer_a_life_cycle_and_look_at_components_and_faults() {
     let builder = Node::builder("rover").child(ChildSpec::new("arm", || Arm));
     let node = TestNode::start(builder.child(tree(&leaves, text))).await;
     let runs = async |path: &str| {
-        let rows = node.snapshot().await.trees;
+        let rows = node.trees();
         rows.iter().any(|row| row.path == path && row.answer == "RUNNING")
     };
     node.advance(SECOND).await;

@@ -41,18 +41,3 @@ pub(super) fn is_own(bind: SocketAddr, peer: SocketAddr) -> bool {
     // Port 0 is a free one that is not known yet.
     is_here && bind.port() == peer.port() && bind.port() != 0
 }
-
-/// Only a group, or all of a network, has such an address.
-pub(super) fn check_own(own: SocketAddr) -> Result<(), String> {
-    let whose = if own.ip().is_multicast() {
-        "a group's"
-    } else if is_broadcast(own.ip()) {
-        "the address of all on a network"
-    } else {
-        return Ok(());
-    };
-    Err(format!(
-        "{own} is {whose}, and no computer's own address: write 0.0.0.0 or one of this computer's; a \
-         group is heard by an endpoint such as udp://239.255.0.1:7400"
-    ))
-}

@@ -3,7 +3,7 @@
 use super::RobotChecker;
 use crate::description::{
     ChildDescription, ComponentDescription, ElementOrigin, LostCommunicationDescription,
-    NeedChannel, NeedDescription, NodeDescription, RungAction, RungDescription,
+    NeedDescription, NodeDescription, RungAction, RungDescription,
 };
 use crate::finding::ElementPart;
 use crate::types::network_of;
@@ -32,29 +32,16 @@ impl<'a> RobotChecker<'a> {
                 }
             }
             for need in &policy.needs {
-                let at = |part| (need.origin, part);
-                match &need.channel {
-                    NeedChannel::Heartbeat(_) => {}
-                    NeedChannel::Node(name) => {
-                        self.known(CODE, "node", name, nodes.clone(), at("node"))
-                    }
-                    NeedChannel::Session(name) => {
-                        self.known(CODE, "node", name, nodes.clone(), at("session"));
-                    }
-                    NeedChannel::Link(name) => {
-                        let ends = node.endpoints.iter();
-                        let networks =
-                            ends.filter_map(|end| network_of(self.robot, node, end).ok());
-                        let links: Vec<_> =
-                            networks.flat_map(|of| of.link_names().collect::<Vec<_>>()).collect();
-                        self.known(
-                            CODE,
-                            "link",
-                            name,
-                            links.iter().map(String::as_str),
-                            at("link"),
-                        );
-                    }
+                let at = (need.origin, need.kind);
+                if need.kind == "link" {
+                    let ends = node.endpoints.iter();
+                    let networks = ends.filter_map(|end| network_of(self.robot, node, end).ok());
+                    let links: Vec<_> =
+                        networks.flat_map(|of| of.link_names().collect::<Vec<_>>()).collect();
+                    let links = links.iter().map(String::as_str);
+                    self.known(CODE, "link", &need.name, links, at);
+                } else if need.kind != "heartbeat" {
+                    self.known(CODE, "node", &need.name, nodes.clone(), at);
                 }
             }
             policy.rungs.iter().for_each(|rung| self.rung(node, rung));
@@ -133,14 +120,8 @@ pub(super) fn place_of(
         PolicyPart::Commander => (policy.origin, "commander".into()),
         PolicyPart::AtLeast => (policy.origin, "at-least".into()),
         PolicyPart::Need(place, setting) => {
-            let NeedDescription { channel, origin, .. } = &policy.needs[*place];
-            let channel = match channel {
-                NeedChannel::Heartbeat(_) => "heartbeat",
-                NeedChannel::Node(_) => "node",
-                NeedChannel::Session(_) => "session",
-                NeedChannel::Link(_) => "link",
-            };
-            (*origin, ElementPart::of_setting(if setting.is_empty() { channel } else { setting }))
+            let NeedDescription { kind, origin, .. } = &policy.needs[*place];
+            (*origin, ElementPart::of_setting(if setting.is_empty() { kind } else { setting }))
         }
         PolicyPart::RungTime(rung) => (policy.rungs[*rung].origin, "time".into()),
         PolicyPart::Rung(rung) => (policy.rungs[*rung].origin, "do".into()),

@@ -5,13 +5,15 @@ use blastema::core::port::PortConnection;
 use blastema::detection::{Liveness, Pull, Push};
 use blastema::prelude::*;
 use blastema::recovery::Backoff;
-use blastema::{ActuatorSettings, ClaimPolicy, CommandTimeout, ProcessSpec, SupervisionTree};
+use blastema::{
+    ActuatorSettings, ClaimPolicy, CommandTimeout, Connected, ProcessSpec, SupervisionTree,
+};
 use blastema_robot::RobotDescription;
 use blastema_robot::description::{
     AnswerDescription, ChildDescription, CommandDescription, ComponentDescription,
     ConnectionDescription, DeviceSettings, ElementOrigin, EndpointDescription,
-    LostCommunicationDescription, NeedChannel, NeedDescription, NodeDescription, RobotNetwork,
-    RungAction, RungDescription, SupervisorDescription,
+    LostCommunicationDescription, NeedDescription, NodeDescription, RobotNetwork, RungAction,
+    RungDescription, SupervisorDescription,
 };
 use std::path::Path;
 use std::time::Duration;
@@ -44,16 +46,8 @@ fn cell(name: &str) -> ChildDescription {
     ChildDescription::Component(Box::new(cell))
 }
 
-fn need(channel: NeedChannel) -> NeedDescription {
-    NeedDescription {
-        channel,
-        timeout: None,
-        rate: None,
-        max_latency: None,
-        max_jitter: None,
-        max_loss: None,
-        origin: ElementOrigin::default(),
-    }
+fn need(kind: &'static str, name: &str, needed: Connected) -> NeedDescription {
+    NeedDescription { kind, name: name.into(), needed, origin: ElementOrigin::default() }
 }
 
 fn rung(after: Duration, action: RungAction, speeds: &[&[(&str, &str)]]) -> RungDescription {
@@ -74,20 +68,23 @@ fn pilot() -> LostCommunicationDescription {
         name: "pilot".into(),
         commander: Some("arm".into()),
         needs: vec![
-            NeedDescription {
-                timeout: Some(SECOND),
-                max_latency: Some(200 * MS),
-                max_jitter: Some(50 * MS),
-                max_loss: Some(0.2),
-                ..need(NeedChannel::Heartbeat("arm/beat".into()))
-            },
-            NeedDescription {
-                rate: Some((10.0, 2 * SECOND)),
-                ..need(NeedChannel::Heartbeat("eye/beat".into()))
-            },
-            need(NeedChannel::Node("arm".into())),
-            need(NeedChannel::Session("arm".into())),
-            need(NeedChannel::Link("ether".into())),
+            need(
+                "heartbeat",
+                "arm/beat",
+                Connected::heartbeat("arm/beat")
+                    .timeout(SECOND)
+                    .max_latency(200 * MS)
+                    .max_jitter(50 * MS)
+                    .max_loss(0.2),
+            ),
+            need(
+                "heartbeat",
+                "eye/beat",
+                Connected::heartbeat("eye/beat").at_rate(10.0, 2 * SECOND),
+            ),
+            need("node", "arm", Connected::node("arm")),
+            need("session", "arm", Connected::session("arm")),
+            need("link", "ether", Connected::link("ether")),
         ],
         at_least: Some(2),
         rungs: vec![
@@ -195,8 +192,7 @@ fn whole() -> RobotDescription {
             endpoint("cable", "unix:///tmp/base.cable"),
             EndpointDescription {
                 reached_at: Some("192.168.0.1:7400".into()),
-                interface: Some("eth0".into()),
-                ..endpoint("ether", "udp://0.0.0.0:7400")
+                ..endpoint("ether", "udp://0.0.0.0:7400?interface=eth0")
             },
         ],
         ..Default::default()
@@ -366,7 +362,7 @@ fn a_node_from_a_file_has_the_tree_of_one_that_code_composes() {
     let types = types();
     let robot = load("tests/right/one.robot.xml", &[]);
     let composed = Node::builder("base")
-        .strategy(Strategy::RestForOne)
+        .root(SupervisorSpec::new("", Strategy::RestForOne))
         .supervisor(
             SupervisorSpec::new("drive", Strategy::OneForAll)
                 .intensity(5, 10 * SECOND)

@@ -91,25 +91,15 @@ fn a_mistake_of_the_code_is_found_once_at_the_component() {
 }
 
 #[test]
-fn of_a_long_line_what_is_near_each_place_is_shown() {
+fn a_line_that_is_too_long_to_be_shown_is_refused() {
     let folder = tempfile::TempDir::new().expect("a folder");
     let file = folder.path().join("long.robot.xml");
-    let components: String = (0..1_000)
-        .map(|at| format!("<component name=\"é{at}\" type=\"Cell\" rate=\"{at}\"/>"))
-        .collect();
-    let text = format!(
-        "<robot schema=\"1\" name=\"{}\"><node name=\"base\">{components}</node></robot>",
-        "n".repeat(100_000)
-    );
-    fs::write(&file, text).expect("it can be written");
+    fs::write(&file, format!("<robot schema=\"1\"\nname=\"{}\"/>", "n".repeat(5_000)))
+        .expect("it can be written");
 
     let found = blastema::run(async { types().load(&file, &[]) }).expect_err("it is refused");
 
-    let found = found.to_string();
-    assert!(found.len() < 200_000, "{} bytes", found.len());
-    assert!(found.contains("and 1901 more"), "{}", &found[found.len() - 100..]);
-    assert!(found.lines().all(|line| line.chars().count() < 300), "{found}");
-    assert!(found.contains("<component name=\"é7\" type=\"Cell\" rate=\"7\"/>"), "{found}");
+    assert!(found.to_string().contains("line 2 has more than 4096 bytes"), "{found}");
 }
 
 #[test]

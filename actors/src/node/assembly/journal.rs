@@ -17,7 +17,7 @@ impl NodeAssembly {
         let lock = match FileLock::acquire_after_predecessor(&path, &self.node.name).await {
             Ok(lock) => Some(lock),
             Err(error @ LockError::InUse { .. }) => {
-                return Err(StartError::Journal { file: path, reason: error.to_string() });
+                return Err(StartError::of_path("journal", &path, error.to_string()));
             }
             // No permission, no folder, a full disk: nothing of that stops a robot. The journal
             // tries it again.

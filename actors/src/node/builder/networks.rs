@@ -23,34 +23,6 @@ impl NodeBuilder {
         self
     }
 
-    /// Reads networks, their neighbours and the node's key from a [TOML
-    /// file](crate::manual::networks#in-a-file) when the node starts, beside those that are
-    /// described in code. Without this line the environment variable `BLASTEMA_NETWORKS` names the
-    /// file, if it is set and not empty. Single keys of the file are overridden by the environment
-    /// variable `BLASTEMA_SET`, and then by [`set`](Self::set).
-    ///
-    /// What is wrong is [`StartError::NetworkFile`](crate::StartError::NetworkFile), with line and
-    /// column, when the node starts.
-    pub fn networks_from(mut self, file: impl Into<PathBuf>) -> Self {
-        self.networks.file.path = Some(file.into());
-        self
-    }
-
-    /// Overrides one key of the file of the networks, or adds it: `KEY=VALUE`, as a program is told
-    /// on its command line. Of several for one key, the last counts.
-    ///
-    /// ```
-    /// use blastema::prelude::*;
-    ///
-    /// let told = ["networks.ethernet.endpoint=udp://127.0.0.1:7400"];
-    /// let node = Node::builder("module1").networks_from("/etc/robot/module1.toml");
-    /// let node = told.iter().fold(node, |node, one| node.set(one));
-    /// ```
-    pub fn set(mut self, one: &str) -> Self {
-        self.networks.file.overrides.push(one.to_owned());
-        self
-    }
-
     /// Gives the node its key, which `blastema keys new` has made, and the roster beside it: all
     /// its networks are [sealed](crate::manual::security). Without this line the environment
     /// variable `BLASTEMA_KEYS` names the file, if it is set and not empty.

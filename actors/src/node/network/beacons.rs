@@ -1,31 +1,22 @@
 //! The multicast group at which a node makes itself known.
 
-#[cfg(feature = "ip")]
-use super::Medium;
-use super::Network;
-use super::start::TransportPlace;
+use super::{Medium, Network};
 use crate::node::error::StartError;
-use blastema_contract::transport::Transport;
-use blastema_transports::Reach;
 #[cfg(feature = "ip")]
-use blastema_transports::{Endpoint, Udp, UdpConfig};
+use blastema_transports::{Endpoint, UdpConfig};
 use std::net::SocketAddr;
 
 /// Where beacons are sent from and received: the interface that the network itself uses. A program
 /// without UDP has none.
 pub(super) struct Beacons {
-    #[cfg(feature = "ip")]
-    socket: UdpConfig,
-    #[cfg(feature = "ip")]
-    group: SocketAddr,
-    #[cfg(not(feature = "ip"))]
-    none: std::convert::Infallible,
+    pub(super) socket: Medium,
+    pub(super) group: SocketAddr,
 }
 
 impl Network {
     /// The socket of its beacons, if it has some.
     pub(super) fn beacon_socket(&self) -> Result<Option<Beacons>, StartError> {
-        let Some(group) = &self.settings.beacons else { return Ok(None) };
+        let Some(group) = &self.beacons else { return Ok(None) };
         let wrong = |what| Err(StartError::Network(format!("network {}: {what}", self.name)));
         #[cfg(feature = "ip")]
         if let Medium::At(Endpoint::Udp(UdpConfig { group: Some(_), .. })) = &self.medium {
@@ -40,6 +31,7 @@ impl Network {
             {
                 socket.bind = SocketAddr::new(bind.ip(), 0);
                 socket.interface = interface.map(str::to_owned);
+                let socket = Medium::At(Endpoint::Udp(socket));
                 return Ok(Some(Beacons { socket, group }));
             }
             return wrong(format!(
@@ -47,28 +39,5 @@ impl Network {
             ));
         }
         wrong(format!("beacons go to {group} over udp and tcp only: leave them out"))
-    }
-}
-
-#[cfg(feature = "ip")]
-impl Beacons {
-    pub(super) fn reach(&self) -> Reach {
-        Endpoint::Udp(self.socket.clone()).reach()
-    }
-
-    pub(super) fn start(self, place: TransportPlace<'_>) -> (Transport, SocketAddr) {
-        let Beacons { socket, group } = self;
-        (place.start(|| Udp::new(socket)), group)
-    }
-}
-
-#[cfg(not(feature = "ip"))]
-impl Beacons {
-    pub(super) fn reach(&self) -> Reach {
-        match self.none {}
-    }
-
-    pub(super) fn start(self, _: TransportPlace<'_>) -> (Transport, SocketAddr) {
-        match self.none {}
     }
 }

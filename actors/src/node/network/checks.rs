@@ -1,6 +1,6 @@
 //! What can be known to be wrong with a network before anything is started.
 
-use super::{Admitted, Link, LinkSettings, Medium, Network, Remote};
+use super::{Admitted, Link, Medium, Network};
 use crate::net::keys::NodeKeys;
 use crate::node::error::StartError;
 use crate::platform;
@@ -11,7 +11,6 @@ use blastema_core::net::routing::MTU_MIN;
 use blastema_core::net::seal::SealProfile;
 use blastema_core::net::wire::advertisement::NEIGHBOURS_MAX;
 use blastema_core::sorted::{SortedMap, SortedSet};
-use blastema_transports::endpoint::is_interface;
 
 /// Every network and every neighbour there can be what it is said to be.
 pub(in crate::node) fn check_networks(
@@ -70,8 +69,7 @@ pub(in crate::node) fn check_files(networks: &[Network]) -> Result<(), StartErro
         _ => 0,
     };
     let listening = networks.iter().filter(|network| strangers(network) > 0);
-    let needed: usize =
-        listening.map(|network| strangers(network) + network.settings.links.len()).sum();
+    let needed: usize = listening.map(|network| strangers(network) + network.links.len()).sum();
     let Some(left) = platform::files_left() else { return Ok(()) };
     if needed == 0 || needed + FILES_OF_NODE <= left {
         return Ok(());
@@ -91,31 +89,31 @@ impl Network {
 
     /// Whom its links lead to.
     pub(in crate::node) fn neighbours(&self) -> impl Iterator<Item = &str> {
-        self.settings.links.iter().map(|link| link.neighbour.as_str())
+        self.links.iter().map(|link| link.neighbour.as_str())
     }
 
     /// The nodes that it names: its neighbours, and those that are discovered.
     pub(in crate::node) fn named_nodes(&self) -> impl Iterator<Item = &str> + Clone {
-        let admitted = match &self.settings.discover {
+        let admitted = match &self.discover {
             Some(Admitted::Only(nodes)) => nodes.as_slice(),
-            Some(Admitted::AnyNode(_)) | None => &[],
+            Some(Admitted::AnyNode) | None => &[],
         };
-        let neighbours = self.settings.links.iter().map(|link| link.neighbour.as_str());
+        let neighbours = self.links.iter().map(|link| link.neighbour.as_str());
         neighbours.chain(admitted.iter().map(String::as_str))
     }
 
     /// What people call its links.
     pub fn link_names(&self) -> impl Iterator<Item = String> {
-        self.settings.links.iter().map(|link| self.link_name(link))
+        self.links.iter().map(|link| self.link_name(link))
     }
 
     /// What people call one of its links.
     pub(super) fn link_name(&self, link: &Link) -> String {
-        let usual = || match self.settings.links.len() {
+        let usual = || match self.links.len() {
             1 => self.name.clone(),
             _ => format!("{}/{}", self.name, link.neighbour),
         };
-        link.settings.name.clone().unwrap_or_else(usual)
+        link.name.clone().unwrap_or_else(usual)
     }
 
     /// Finds what can be known to be wrong before anything is started.
@@ -128,13 +126,9 @@ impl Network {
         if let Medium::Unreadable(error) = &self.medium {
             return Err(self.endpoint_error(None, error.clone()));
         }
-        if let Some(what) = self.own_fault() {
-            return wrong(what);
-        }
-        for link in &self.settings.links {
+        for link in &self.links {
             self.check_settings(link)?;
-            let what = self.link_fault(link, node).or_else(|| self.remote_fault(link));
-            if let Some(what) = what {
+            if let Some(what) = self.link_fault(link, node) {
                 return wrong(what);
             }
         }
@@ -160,7 +154,7 @@ impl Network {
             )));
         }
         let mut neighbours = SortedSet::new();
-        for Link { neighbour, .. } in &self.settings.links {
+        for Link { neighbour, .. } in &self.links {
             let known = NodeName::new(neighbour).is_ok_and(|node| keys.key_of(&node).is_some());
             if !known {
                 let (robot, serial) = (keys.robot(), keys.serial());
@@ -181,29 +175,8 @@ impl Network {
         Ok(())
     }
 
-    /// What is wrong with our own end of it.
-    fn own_fault(&self) -> Option<String> {
-        if let Medium::At(endpoint) = &self.medium
-            && let Err(why) = endpoint.check()
-        {
-            return Some(why);
-        }
-        let name = self.settings.interface.as_ref()?;
-        if !is_interface(name) {
-            return Some(format!(
-                "{name:?} is no name of an interface: write one as in eth0, 1 to 15 letters without \
-                 slash"
-            ));
-        }
-        let bound_to = self.medium.socket().and_then(|(named, _)| named);
-        let other = bound_to.filter(|bound_to| *bound_to != name)?;
-        Some(format!(
-            "its endpoint says interface={other}, and its interface is {name}: say one of them only"
-        ))
-    }
-
     fn link_fault(&self, link: &Link, node: &NodeName) -> Option<String> {
-        let Link { neighbour, settings: LinkSettings { name, .. } } = link;
+        let Link { neighbour, name, .. } = link;
         if neighbour == node.as_str() {
             return Some(format!(
                 "{neighbour} is this node itself, and no neighbour: write the neighbour's name, or \
@@ -215,33 +188,21 @@ impl Network {
     }
 
     fn check_settings(&self, link: &Link) -> Result<(), StartError> {
-        let (Link { neighbour, .. }, [hello_interval, expected_within]) = (link, link.times());
+        let Link { neighbour, hello_every, expected_within, .. } = link;
         let refused = |SettingError { setting, value, cure }| {
             let (network, neighbour) = (self.name.clone(), neighbour.clone());
             Err(StartError::Link { network, neighbour, setting, value, cure })
         };
         // Over a link that costs nothing, two nodes may each take the other for the shorter way.
-        if link.settings.cost == Some(0) {
+        if link.cost == Some(0) {
             let (value, cure) = ("0".to_owned(), "a link costs 1 at least");
             return refused(SettingError { setting: "cost", value, cure });
         }
-        HELLO_INTERVAL.check(hello_interval).or_else(refused)?;
-        if expected_within < hello_interval {
-            let value = format!("{expected_within:?}, less than its {hello_interval:?}");
+        HELLO_INTERVAL.check(*hello_every).or_else(refused)?;
+        if expected_within < hello_every {
+            let value = format!("{expected_within:?}, less than its {hello_every:?}");
             return refused(EXPECTED_WITHIN.refuse(value, EXPECTED_WITHIN.cure));
         }
         Ok(())
-    }
-
-    /// Why the neighbour cannot be where the link leads. What is written is read with the medium.
-    fn remote_fault(&self, link: &Link) -> Option<String> {
-        let Remote::At(address) = &link.settings.address else { return None };
-        let Medium::At(endpoint) = &self.medium else { return None };
-        let why = endpoint.objection(address)?;
-        let shown = match address.to_string() {
-            empty if empty.is_empty() => "\"\"".to_owned(),
-            shown => shown,
-        };
-        Some(format!("{shown} is not where {} is: {why}", link.neighbour))
     }
 }

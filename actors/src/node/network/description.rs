@@ -2,7 +2,6 @@
 
 use super::Network;
 use super::checks::{check_files, check_networks};
-use super::file::NetworkFile;
 use super::hosts::Hosts;
 use super::services::{check_service, check_service_order};
 use crate::net::keys::{KeysPermissions, NodeKeys};
@@ -17,12 +16,10 @@ use std::env;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
-use tracing::warn;
 
 /// The networks of a node, and what it does by way of them.
 pub(in crate::node) struct NetworkDescription {
     pub(in crate::node) networks: Vec<Network>,
-    pub(in crate::node) file: NetworkFile,
     pub(in crate::node) hosts: Hosts,
     pub(in crate::node) services: Vec<Result<Carried, ServiceSpecError>>,
     pub(in crate::node) session_timeout: Duration,
@@ -42,7 +39,6 @@ impl Default for NetworkDescription {
     fn default() -> Self {
         NetworkDescription {
             networks: Vec::new(),
-            file: NetworkFile::default(),
             hosts: Hosts::LookedUp,
             services: Vec::new(),
             session_timeout: SESSION_TIMEOUT.default,
@@ -58,7 +54,6 @@ impl NetworkDescription {
     /// Reads the keys, and finds what can be known to be wrong before anything is started.
     pub(in crate::node) fn check(&mut self, node: &NodeName) -> Result<(), Vec<StartError>> {
         SESSION_TIMEOUT.check(self.session_timeout).map_err(StartError::from)?;
-        self.read_file()?;
         self.networks.iter_mut().try_for_each(|network| self.hosts.resolve(network))?;
         self.read_keys(node)?;
         self.check_away(node)?;
@@ -91,23 +86,18 @@ impl NetworkDescription {
                 "its commander {node} cannot reach this node, which has no networks: add one"
             ));
         }
-        let Some((has_roster, hint)) = self.unknown(node) else { return Ok(()) };
-        let hint = hint.unwrap_or_default();
-        if has_roster {
-            return Err(format!("its commander {node} is not in the roster{hint}"));
-        }
-        warn!(%node, "the commander of a policy is no neighbour of this node{hint}");
-        Ok(())
+        let why = self.unlisted(node);
+        why.map_or(Ok(()), |why| {
+            Err(format!("its commander {node} is no node of the robot: {why}"))
+        })
     }
 
-    /// Whether there is a roster that does not list the node, or else nothing that describes it;
-    /// and which node is meant, perhaps. `None` for a node that is known.
-    fn unknown(&self, node: &NodeName) -> Option<(bool, Option<String>)> {
-        let listed = self.keys.as_ref().map(|keys| keys.listed());
-        let (has_roster, known) = (listed.is_some(), listed.unwrap_or_else(|| self.named_nodes()));
-        let near = nearest(node.as_str(), known.iter().map(NodeName::as_str));
-        let hint = near.map(|near| format!(": did you mean {near}?"));
-        (!known.contains(node)).then_some((has_roster, hint))
+    /// Says that the roster does not list a node, and which one is meant, perhaps.
+    fn unlisted(&self, node: &NodeName) -> Option<String> {
+        let listed = self.keys.as_ref()?.listed();
+        let near = nearest(node.as_str(), listed.iter().map(NodeName::as_str));
+        let hint = near.map(|near| format!(": did you mean {near}?")).unwrap_or_default();
+        (!listed.contains(node)).then(|| format!("the roster does not list it{hint}"))
     }
 
     /// Finds nodes that cannot be away, and expects no hello of the others. Without keys, a node
@@ -116,25 +106,21 @@ impl NetworkDescription {
         for name in &self.may_be_away {
             let of = "the name of a node that may be away";
             let node = NodeName::new(name).map_err(StartError::name_of(of))?;
-            let why = match self.unknown(&node) {
-                _ if node == *own => "it is this node: leave it out".to_owned(),
-                _ if self.networks.is_empty() => {
-                    "this node has no networks: add one, or leave it out".to_owned()
-                }
-                Some((true, hint)) => {
-                    format!("the roster does not list it{}", hint.unwrap_or_default())
-                }
-                Some((false, Some(hint))) => {
-                    warn!(%node, "a node that may be away is no neighbour of this node{hint}");
-                    continue;
-                }
-                Some((false, None)) | None => continue,
+            let why = if node == *own {
+                Some("it is this node: leave it out".to_owned())
+            } else if self.networks.is_empty() {
+                Some("this node has no networks: add one, or leave it out".to_owned())
+            } else {
+                self.unlisted(&node)
             };
-            return Err(StartError::Network(format!("{name} may be away, as is described: {why}")));
+            if let Some(why) = why {
+                let text = format!("{name} may be away, as is described: {why}");
+                return Err(StartError::Network(text));
+            }
         }
-        let links = self.networks.iter_mut().flat_map(|network| &mut network.settings.links);
+        let links = self.networks.iter_mut().flat_map(|network| &mut network.links);
         for link in links.filter(|link| self.may_be_away.contains(&link.neighbour)) {
-            link.settings.expected_within = Some(Duration::MAX);
+            link.expected_within = Duration::MAX;
         }
         Ok(())
     }
@@ -143,16 +129,6 @@ impl NetworkDescription {
     pub(in crate::node) fn begin_incarnation(&self) -> Incarnation {
         let keys = self.keys.as_ref();
         keys.map_or_else(platform::node_incarnation, |keys| keys.begin_incarnation())
-    }
-
-    /// What the file describes counts as what is described in code.
-    fn read_file(&mut self) -> Result<(), StartError> {
-        let Some(mut described) = self.file.read()? else { return Ok(()) };
-        self.key_file = self.key_file.take().or(described.keys.take());
-        self.keys_permissions = described.keys_permissions.unwrap_or(self.keys_permissions);
-        self.may_be_away.append(&mut described.may_be_away);
-        self.networks.extend(described.into_networks());
-        Ok(())
     }
 
     fn read_keys(&mut self, node: &NodeName) -> Result<(), StartError> {

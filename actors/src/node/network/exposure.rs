@@ -32,7 +32,7 @@ impl Network {
         let reach = self.medium.reach();
         // A group that cannot be read is refused by the check of the network.
         let beacons = self.beacon_socket().ok().flatten();
-        beacons.map_or(reach, |beacons| reach.max(beacons.reach()))
+        beacons.map_or(reach, |beacons| reach.max(beacons.socket.reach()))
     }
 
     /// Returns whether its frames leave this computer: not over loopback addresses, Unix sockets
@@ -91,14 +91,14 @@ impl Network {
     /// and one that is insecure beside keys: what comes over it would speak with the authority of
     /// the others.
     pub(super) fn check_exposure(&self, has_keys: bool) -> Result<(), StartError> {
-        if self.settings.insecure && has_keys {
+        if self.insecure && has_keys {
             return Err(StartError::Network(format!(
                 "network {0} is insecure and the node has keys: leave `insecure` out and give the \
                  other nodes on {0} keys, or run a node of its own for it",
                 self.name
             )));
         }
-        if has_keys || self.settings.insecure || !self.reach().leaves_computer() {
+        if has_keys || self.insecure || !self.reach().leaves_computer() {
             return Ok(());
         }
         let (network, medium) = (self.name.clone(), self.medium.place());

@@ -3,7 +3,7 @@
 //! A node looks them up once, when it starts. Where a description is only checked, perhaps on
 //! another computer, each name has an address of the range for benchmarks (RFC 2544, RFC 5180).
 
-use super::{Medium, Network, Remote};
+use super::{Medium, Network};
 use crate::node::error::StartError;
 use blastema_core::sorted::SortedMap;
 use blastema_transports::endpoint::NamedHost;
@@ -48,7 +48,7 @@ impl Hosts {
                  look whether its name server is reachable, or write its address in numbers"
             ))
         };
-        if let Some(named) = NamedHost::find(&network.settings.endpoint) {
+        if let Some(named) = NamedHost::find(&network.endpoint) {
             let addresses = self.addresses(named);
             let addresses = addresses
                 .map_err(|error| failed(named.name(), &network.name, error.to_string()))?;
@@ -58,9 +58,8 @@ impl Hosts {
             }
         }
         let Some((_, own)) = network.medium.socket() else { return Ok(()) };
-        for link in &mut network.settings.links {
-            let Remote::Written(text) = &link.settings.address else { continue };
-            let Some(named) = NamedHost::find(text) else { continue };
+        for link in &mut network.links {
+            let Some(named) = NamedHost::find(&link.address) else { continue };
             let fitting = self.addresses(named).and_then(|all| {
                 let fits = |address: &SocketAddr| address.is_ipv4() == own.is_ipv4();
                 all.into_iter().find(fits).ok_or_else(|| {
@@ -70,7 +69,7 @@ impl Hosts {
             });
             let address =
                 fitting.map_err(|error| failed(named.name(), &network.name, error.to_string()))?;
-            link.settings.address = Remote::Written(address.to_string());
+            link.address = address.to_string();
         }
         Ok(())
     }

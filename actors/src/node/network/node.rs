@@ -5,7 +5,7 @@ use super::Cable;
 use crate::directory::{Claim, ClaimError, ClaimPolicy, ClaimRow, Holder, NameWatch, NodeRow};
 use crate::net::RosterRow;
 use crate::net::operator::{self, KeyStatus, OrderError};
-use crate::node::network_rows::{MediumRow, NetworkRow};
+use crate::node::network_rows::NetworkRow;
 use crate::node::order::{COMPONENTS, ComponentOrder, OrderReply};
 use crate::node::{Node, NodeState};
 use crate::platform;
@@ -16,9 +16,9 @@ use blastema_contract::link::LinkRow;
 use blastema_contract::router::InjectPanic;
 use blastema_contract::session::SessionRow;
 use blastema_contract::strategy::IsolateNode;
+use blastema_contract::transport::TransportCounters;
 use blastema_core::directory::{ClaimRequest, DirectoryKey};
 use blastema_core::net::Route;
-use blastema_core::suggestion::nearest;
 use blastema_core::{DeliveryError, NameError, NodeName, ObjectName, Request};
 use std::fmt;
 use std::sync::Arc;
@@ -26,8 +26,6 @@ use std::time::Duration;
 
 /// How often it is looked who is there: soon enough for a start, and rare enough to cost nothing.
 const LOOK_AGAIN: Duration = Duration::from_millis(10);
-/// So many known nodes are listed if the given name is none of them.
-const KNOWN_MAX: usize = 10;
 /// Why a node was neither isolated nor admitted: nothing has changed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
@@ -43,24 +41,13 @@ pub enum IsolateError {
     },
     /// No node of this name was ever reached or is described. Correct the name, or describe the
     /// node, for example as a neighbour.
-    #[error("no node is known here as {node}: {}", known_here(nearest.as_ref(), known))]
+    #[error("no node is known here as {node}: it knows {known}")]
     Unknown {
         /// The name that was given.
         node: NodeName,
-        /// What may have been meant.
-        nearest: Option<NodeName>,
-        /// Those that are known, in the order of their names; at most ten.
-        known: Vec<NodeName>,
+        /// The nodes that are known, in the order of their names; `none`.
+        known: String,
     },
-}
-
-fn known_here(nearest: Option<&NodeName>, known: &[NodeName]) -> String {
-    let names: Vec<&str> = known.iter().map(NodeName::as_str).collect();
-    match (nearest, names.is_empty()) {
-        (Some(name), _) => format!("did you mean {name}?"),
-        (None, true) => "it knows no other one; is it on a network?".to_owned(),
-        (None, false) => format!("it knows {}", names.join(", ")),
-    }
 }
 
 /// What was not there in time.
@@ -112,10 +99,11 @@ impl Node {
     }
 
     /// What the medium of each network has carried and lost, and what waits for it now.
-    pub async fn media(&self) -> Vec<MediumRow> {
-        let Some(networks) = &self.0.networks else { return Vec::new() };
-        let rows = networks.handle.read_media().await;
-        rows.into_iter().map(|(network, counters)| MediumRow { network, counters }).collect()
+    pub(in crate::node) async fn media(&self) -> Vec<(Arc<str>, TransportCounters)> {
+        match &self.0.networks {
+            Some(networks) => networks.handle.read_media().await,
+            None => Vec::new(),
+        }
     }
 
     /// Every node that can be reached from here, and over which link.
@@ -319,9 +307,9 @@ impl Node {
     fn unknown(&self, node: NodeName) -> IsolateError {
         let mut known = self.0.networks.as_ref().map(|all| all.known()).unwrap_or_default();
         known.remove(&self.0.name);
-        let nearest = nearest(node.as_str(), known.iter().map(NodeName::as_str));
-        let nearest = nearest.and_then(|name| known.get(name)).cloned();
-        IsolateError::Unknown { node, nearest, known: known.into_iter().take(KNOWN_MAX).collect() }
+        let known: Vec<&str> = known.iter().map(NodeName::as_str).collect();
+        let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+        IsolateError::Unknown { node, known }
     }
 
     /// Asks another node for the state of its keys: the roster that it uses, its fingerprint, and

@@ -1,6 +1,9 @@
 //! Starts the transports of a network that was described.
 
-use super::{Admitted, Cable, Link, Medium, Network, Remote};
+use super::beacons::Beacons;
+use super::{Admitted, Cable, Link, Medium, Network};
+#[cfg(feature = "serial")]
+use crate::net::keys::SealTerms;
 use crate::net::{DiscoverySpec, LinkSpec, NetworkSpec};
 use crate::node::error::StartError;
 use crate::platform;
@@ -33,17 +36,12 @@ const REFUSED: &str = "a wrong endpoint is refused before the start";
 
 impl Medium {
     /// The address of a neighbour as this medium has it.
-    fn remote(&self, remote: &Remote) -> Result<MediumAddress, EndpointError> {
-        match (remote, self) {
-            (Remote::At(address), _) => Ok(address.clone()),
-            (Remote::Written(text), Medium::At(endpoint)) => endpoint.peer(text),
-            (Remote::Written(_), Medium::Unreadable(error)) => unreachable!("{REFUSED}: {error}"),
-            (Remote::Written(text), Medium::Own { .. }) if text.is_empty() => {
-                Ok(MediumAddress::Line)
-            }
-            (Remote::Written(text), Medium::Own { .. }) => {
-                Ok(MediumAddress::Own(text.as_str().into()))
-            }
+    fn remote(&self, address: &str) -> Result<MediumAddress, EndpointError> {
+        match self {
+            Medium::At(endpoint) => endpoint.peer(address),
+            Medium::Unreadable(error) => unreachable!("{REFUSED}: {error}"),
+            Medium::Own { .. } if address.is_empty() => Ok(MediumAddress::Line),
+            Medium::Own { .. } => Ok(MediumAddress::Own(address.into())),
         }
     }
 
@@ -100,14 +98,14 @@ impl Medium {
 }
 
 /// Where the actor of a transport is started, and its name.
-pub(super) struct TransportPlace<'a> {
-    pub(super) object: ObjectName,
-    pub(super) guardian: &'a Guardian,
-    pub(super) arbiter: Option<&'a ArbiterHandle>,
+struct TransportPlace<'a> {
+    object: ObjectName,
+    guardian: &'a Guardian,
+    arbiter: Option<&'a ArbiterHandle>,
 }
 
 impl TransportPlace<'_> {
-    pub(super) fn start<A>(self, make: impl FnOnce() -> A + Send + 'static) -> Transport
+    fn start<A>(self, make: impl FnOnce() -> A + Send + 'static) -> Transport
     where
         A: Actor<Context = Context<A>> + Supervised,
         Transport: From<Addr<A>>,
@@ -138,12 +136,14 @@ impl Network {
         }
         let mut transports = vec![object.clone()];
         let place = |object| TransportPlace { object, guardian, arbiter };
-        let mut transport = medium.start(&name, memory, place(object))?;
-        let discovery = beacons.zip(admission).map(|(beacons, admission)| {
+        let mut transport = medium.start(&name, memory.clone(), place(object))?;
+        let mut discovery = None;
+        if let (Some(Beacons { socket, group }), Some(admission)) = (beacons, admission) {
             transports.push(sender.clone());
-            let beacons = beacons.start(place(sender));
-            DiscoverySpec { admission, hello_interval: HELLO_INTERVAL.default, beacons }
-        });
+            let beacons = (socket.start(&name, memory.clone(), place(sender))?, group);
+            let hello_interval = HELLO_INTERVAL.default;
+            discovery = Some(DiscoverySpec { admission, hello_interval, beacons });
+        }
         let cable = faults.map(|seed| {
             transports.push(cable.clone());
             let (inner, config) =
@@ -170,18 +170,17 @@ impl Network {
         let spec = |link: &Link| {
             let of = format!("the name of a neighbour on network {}", self.name);
             let neighbour = NodeName::new(&link.neighbour).map_err(StartError::name_of(of))?;
-            let [hello_interval, expected_within] = link.times();
-            let remote = self.medium.remote(&link.settings.address);
+            let remote = self.medium.remote(&link.address);
             Ok(LinkSpec {
                 name: self.link_name(link).into(),
                 remote: remote.map_err(|error| self.endpoint_error(Some(&neighbour), error))?,
                 neighbour: Some(neighbour),
-                cost: link.settings.cost,
-                hello_interval,
-                expected_within,
+                cost: link.cost,
+                hello_interval: link.hello_every,
+                expected_within: link.expected_within,
             })
         };
-        self.settings.links.iter().map(spec).collect()
+        self.links.iter().map(spec).collect()
     }
 
     /// An address is wrong: our own, or that of a neighbour.
@@ -197,17 +196,17 @@ impl Network {
     /// Who is admitted, but for those that are described.
     pub(super) fn admission(&self) -> Result<Option<DiscoveryAdmission>, StartError> {
         let name = &self.name;
-        match &self.settings.discover {
-            None if self.settings.beacons.is_some() => {
+        match &self.discover {
+            None if self.beacons.is_some() => {
                 let text = format!("network {name}: say whom the beacons are for, by discover()");
                 Err(StartError::Network(text))
             }
             None => Ok(None),
-            Some(_) if self.settings.beacons.is_none() => Err(StartError::Network(format!(
+            Some(_) if self.beacons.is_none() => Err(StartError::Network(format!(
                 "network {name}: nodes are discovered by their beacons: give the network a group by \
                  `.beacons(\"239.255.0.1:7399\")`, or describe each neighbour by `.peer`"
             ))),
-            Some(Admitted::AnyNode(_)) => Ok(Some(DiscoveryAdmission::AnyNode)),
+            Some(Admitted::AnyNode) => Ok(Some(DiscoveryAdmission::AnyNode)),
             Some(Admitted::Only(nodes)) => {
                 let nodes: Result<_, _> = nodes.iter().map(|node| NodeName::new(node)).collect();
                 let of = format!("the name of a node that network {name} is discovered by");

@@ -4,42 +4,28 @@ use crate::AccessRefusal;
 use crate::directory::ClaimRow;
 use crate::net::RosterRow;
 use crate::node::Node;
-use crate::node::network_rows::{LinkName, MediumRow, NetworkRow, RouteRow};
 use crate::node::snapshot::{in_time, millis, rows_of};
 use crate::service::ServiceRow;
 use blastema_contract::link::LinkRow;
 use blastema_contract::session::SessionRow;
+use blastema_contract::transport::TransportCounters;
 use blastema_core::NodeName;
+use blastema_core::net::{LinkId, Route};
 use futures_util::future::join5;
 use serde_json::{Value, json};
+use std::sync::Arc;
 
-/// Everything that a node knows of other nodes at one moment, as part of its
-/// [`NodeSnapshot`](crate::NodeSnapshot).
-#[derive(Clone, Debug)]
-#[non_exhaustive]
-pub struct NetworkSnapshot {
-    /// The networks, and which of them are sealed or insecure.
-    pub networks: Vec<NetworkRow>,
-    /// What the medium of each network has carried and lost.
-    pub media: Option<Vec<MediumRow>>,
-    /// The roster that the node uses; an empty list without keys.
-    pub roster: Option<Vec<RosterRow>>,
-    /// The links, in the order in which they were described.
-    pub links: Option<Vec<LinkRow>>,
-    /// Every node that can be reached, and over which link.
-    pub routes: Option<Vec<RouteRow>>,
-    /// The sessions with other nodes.
-    pub sessions: Option<Vec<SessionRow>>,
-    /// The global names with a holder, as known to this node.
-    pub claims: Vec<ClaimRow>,
-    /// The services that the node hosts, and the primary of each.
-    pub services: Vec<ServiceRow>,
-    /// What other nodes were refused by the robot's policy.
-    pub forbidden: Vec<AccessRefusal>,
+/// What the actors of the network have answered; `None` where one did not in time.
+pub(super) struct NetworkParts {
+    links: Option<Vec<LinkRow>>,
+    routes: Option<Vec<Route>>,
+    roster: Option<Option<RosterRow>>,
+    sessions: Option<Vec<SessionRow>>,
+    media: Option<Vec<(Arc<str>, TransportCounters)>>,
 }
 
-impl NetworkSnapshot {
-    pub(in crate::node) async fn of(node: &Node) -> Self {
+impl NetworkParts {
+    pub(super) async fn of(node: &Node) -> Self {
         let (links, routes, roster, sessions, media) = join5(
             in_time(node.links()),
             in_time(node.routes()),
@@ -48,43 +34,28 @@ impl NetworkSnapshot {
             in_time(node.media()),
         )
         .await;
-        // Without the links, those of a route have no names.
-        let routes = links
-            .as_deref()
-            .zip(routes)
-            .map(|(links, routes)| routes.iter().map(|route| RouteRow::of(route, links)).collect());
-        NetworkSnapshot {
-            networks: node.networks().to_vec(),
-            media,
-            roster: roster.map(Vec::from_iter),
-            links,
-            routes,
-            sessions,
-            claims: node.claims(),
-            services: node.services(),
-            forbidden: node.refusals(),
-        }
+        NetworkParts { links, routes, roster, sessions, media }
     }
 
     /// Completes the node's JSON document.
-    pub(in crate::node) fn shown_in(&self, mut document: Value) -> Value {
-        document["networks"] = json!(self.networks);
+    pub(super) fn show_in(&self, node: &Node, document: &mut Value) {
+        let links = self.links.as_deref().unwrap_or_default();
+        let route = |row: &Route| route(row, links);
+        document["networks"] = json!(node.networks());
         document["links"] = self.links.as_deref().map(|rows| rows_of(rows, link)).into();
         document["media"] = self.media.as_deref().map(|rows| rows_of(rows, medium)).into();
-        document["roster"] = json!(self.roster);
+        document["roster"] = json!(self.roster.as_ref().map(Vec::from_iter));
         document["routes"] = self.routes.as_deref().map(|rows| rows_of(rows, route)).into();
         document["sessions"] = self.sessions.as_deref().map(|rows| rows_of(rows, session)).into();
-        document["global_names"] = rows_of(&self.claims, claim).into();
-        document["services"] = rows_of(&self.services, service).into();
-        document["forbidden"] = rows_of(&self.forbidden, forbidden).into();
-        document
+        document["global_names"] = rows_of(&node.claims(), claim).into();
+        document["services"] = rows_of(&node.services(), service).into();
+        document["forbidden"] = rows_of(&node.refusals(), forbidden).into();
     }
 }
 
-fn medium(row: &MediumRow) -> Value {
-    let counters = &row.counters;
+fn medium((network, counters): &(Arc<str>, TransportCounters)) -> Value {
     json!({
-        "network": &*row.network,
+        "network": &**network,
         "frames_sent": counters.sent,
         "frames_received": counters.received,
         "frames_dropped": counters.dropped,
@@ -119,16 +90,17 @@ fn link(row: &LinkRow) -> Value {
     })
 }
 
-fn route(row: &RouteRow) -> Value {
-    let network = |name: &Option<LinkName>| name.as_ref().map(|name| name.network.to_string());
-    let link = |name: &Option<LinkName>| name.as_ref().map(|name| name.link.to_string());
+/// A route, whose links are among these; a link that is gone by now has no name.
+fn route(row: &Route, links: &[LinkRow]) -> Value {
+    let named = |number: Option<LinkId>| links.iter().find(|row| Some(row.number) == number);
+    let (chosen, alternate) = (named(row.chosen), named(row.alternate));
     json!({
         "node": row.node.as_str(),
         "incarnation": row.incarnation.0,
-        "network": network(&row.link),
-        "link": link(&row.link),
-        "alternate_network": network(&row.alternate),
-        "alternate_link": link(&row.alternate),
+        "network": chosen.map(|row| &*row.network),
+        "link": chosen.map(|row| &*row.link),
+        "alternate_network": alternate.map(|row| &*row.network),
+        "alternate_link": alternate.map(|row| &*row.link),
         "cost": row.cost,
         "mtu_bytes": row.mtu,
         "relays": row.relays,

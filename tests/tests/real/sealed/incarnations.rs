@@ -20,7 +20,7 @@ async fn start(folder: &Path, at: &[SocketAddr], own: usize) -> Node {
 }
 
 async fn incarnation(node: &Node) -> u64 {
-    node.snapshot().await.incarnation.0
+    node.incarnation().0
 }
 
 /// Which incarnation of the other node this one has a session with.

@@ -19,27 +19,12 @@ fn network(scheme: &str, own: usize, at: &[String]) -> Network {
 fn a_process_plays_its_role() {
     let Some(scheme) = role() else { return };
     let at = addresses();
-    if scheme == FILE {
-        return play_as_described();
-    }
     let file = Path::new(&at[2]).join("right.key");
     blastema::run(async {
         let counter = super::counter("right");
         let builder = Node::builder("right").work_threads(1).keys(file).child(counter);
         let node = builder.network(network(&scheme, 1, &at)).start().await.expect("it starts");
         node.run_until_signal().await.expect("the system tells of signals");
-    });
-}
-
-/// A role whose networks and keys stand in a file that the environment names, and overrides.
-const FILE: &str = "file";
-
-fn play_as_described() {
-    blastema::run(async {
-        let counter = super::counter("right");
-        let builder = Node::builder("right").work_threads(1).child(counter);
-        let _node = builder.start().await.expect("it starts");
-        std::future::pending::<()>().await;
     });
 }
 
@@ -325,39 +310,5 @@ fn a_revoked_node_loses_its_link_while_all_run_and_a_listed_one_gets_one() {
         assert!(pair.left.connected("right", PATIENCE).await);
         assert_eq!(pair.first_answer().await, 2);
         pair.left.shutdown().await;
-    });
-}
-
-#[test]
-fn networks_and_keys_stand_in_files_and_environment_and_program_override_them() {
-    let _turn = blastema_doubles::turn();
-    blastema::run(async {
-        let folder = tempfile::tempdir().expect("a folder");
-        RobotKeys::new(folder.path(), &NODES, 1);
-        let at = free_addresses(2);
-        // Both files have a wrong address of the other node, or of their own.
-        let write = |own: usize, endpoint: &str, peer: &str| {
-            let file = folder.path().join(format!("{}.toml", NODES[own]));
-            let text = format!(
-                "keys = \"{}.key\"\n[networks.lan]\nendpoint = \"udp://{endpoint}\"\n\
-                 peers = {{ {} = \"{peer}\" }}\n",
-                NODES[own],
-                NODES[1 - own]
-            );
-            std::fs::write(&file, text).expect("a folder");
-            file
-        };
-        let left = write(0, &at[0].to_string(), "127.0.0.1:1");
-        let right = write(1, "127.0.0.1:1", &at[0].to_string()).display().to_string();
-        let set = format!("networks.lan.endpoint=udp://{}; ", at[1]);
-        let variables = [("BLASTEMA_NETWORKS", &right), ("BLASTEMA_SET", &set)];
-        let _right = Process::start_with(module_path!(), FILE, &[""; 0], &variables);
-        let left = Node::builder("left").work_threads(1).networks_from(left);
-        let left = left.set(&format!("networks.lan.peers.right={}", at[1]));
-        let left = left.start().await.expect("it starts");
-        assert!(left.connected("right", PATIENCE).await, "{:?}", left.links().await);
-        assert!(left.networks()[0].sealed);
-        assert_eq!(ask(&left, "right").await, 1);
-        left.shutdown().await;
     });
 }

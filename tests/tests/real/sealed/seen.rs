@@ -46,7 +46,7 @@ async fn start(builders: [NodeBuilder; 3]) -> [Node; 3] {
 }
 
 async fn picture(node: &Node) -> Value {
-    serde_json::from_str(&node.snapshot().await.to_json()).expect("a JSON document")
+    serde_json::from_str(&node.snapshot().await).expect("a JSON document")
 }
 
 /// The first row of a part of the picture with this value.

@@ -103,11 +103,6 @@ fn keys_with_unchecked_permissions_and_the_robots_secret_beside_them_are_a_stand
         set_mode(folder.path(), 0o777);
         let unchecked = node(&keys, "left", udp()).keys_permissions(KeysPermissions::Unchecked);
         stands(unchecked, "permissions are unchecked").await;
-        let set = node(&keys, "left", udp()).set("keys_permissions=unchecked");
-        stands(set, "permissions are unchecked").await;
-        let (set, wrong) = (node(&keys, "left", udp()), "keys_permissions=none");
-        let refused = set.set(wrong).start().await.expect_err("no such value");
-        assert!(refused.to_string().contains("unchecked"), "{refused}");
 
         set_mode(&keys.of("left"), 0o600);
         set_mode(folder.path(), 0o700);

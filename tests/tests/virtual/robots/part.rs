@@ -50,8 +50,8 @@ impl Robot {
     /// The node of this plan.
     pub(crate) fn builder(&self, ledger: &Ledger) -> NodeBuilder {
         let Group { strategy, escalates, intensity, children, .. } = &self.root;
-        let builder = Node::builder("robot").plan(self.recovery());
-        let mut builder = builder.strategy(*strategy).intensity(*intensity, PERIOD);
+        let root = SupervisorSpec::new("", *strategy).intensity(*intensity, PERIOD);
+        let mut builder = Node::builder("robot").plan(self.recovery()).root(root);
         if *escalates {
             builder = builder.when_exceeded(WhenExceeded::Escalate);
         }

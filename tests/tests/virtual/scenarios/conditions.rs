@@ -33,7 +33,7 @@ impl Robot {
     async fn over(hello: Duration, radio: impl Fn(Network) -> Network) -> Self {
         let medium = MemoryMedium::default();
         let node = |own: &str, other: &str| {
-            let link = Link::in_memory(other, other).hello_every(hello);
+            let link = Link::to(other, other).hello_every(hello);
             let network = Network::memory("radio", &medium, own).link(link);
             let wheels = ChildSpec::new("wheels", || Wheels);
             Node::builder(own).network(radio(network).with_faults(7)).child(wheels)

@@ -52,7 +52,7 @@ fn map(on: &'static str) -> ChildSpec<Map> {
 fn node(own: &str, medium: &MemoryMedium) -> NodeBuilder {
     let mut network = Network::memory("ethernet", medium, own);
     for far in NODES.iter().filter(|far| **far != own) {
-        network = network.link(Link::in_memory(far, far).hello_every(HELLO));
+        network = network.link(Link::to(far, far).hello_every(HELLO));
     }
     Node::builder(own).network(network.with_faults(7))
 }

@@ -38,7 +38,7 @@ struct Media {
 
 impl Media {
     fn network(medium: &MemoryMedium, name: &str, own: &str, far: &str, cost: u16) -> Network {
-        let link = Link::in_memory(far, far).cost(cost);
+        let link = Link::to(far, far).cost(cost);
         Network::memory(name, medium, own).link(link).with_faults(7)
     }
 

@@ -44,7 +44,7 @@ async fn open_faults(node: &TestNode) -> Vec<(FaultKind, String)> {
 }
 
 fn networked(builder: NodeBuilder, own: &str, far: &str, medium: &MemoryMedium) -> NodeBuilder {
-    let link = Link::in_memory(far, far).hello_every(10 * MS);
+    let link = Link::to(far, far).hello_every(10 * MS);
     builder.network(Network::memory("ethernet", medium, own).link(link))
 }
 

@@ -67,7 +67,7 @@ fn counter(kind: StandbyKind) -> ServiceSpec<Counter> {
 fn node(own: &str, medium: &MemoryMedium) -> NodeBuilder {
     let mut network = Network::memory("ethernet", medium, own);
     for far in ["module0"].iter().chain(&MEMBERS).filter(|far| **far != own) {
-        network = network.link(Link::in_memory(far, far).hello_every(10 * MS));
+        network = network.link(Link::to(far, far).hello_every(10 * MS));
     }
     // A member whose replica fails too often comes to rest as a whole.
     let builder = Node::builder(own).when_exceeded(WhenExceeded::Escalate);

@@ -46,7 +46,7 @@ async fn each_node_shows_its_state_the_primary_and_the_missing_members_of_a_serv
     robot.asker.advance(500 * MS).await;
     assert_eq!(row(&robot.members[last]).state, ServiceState::Resting);
     assert!(row(&robot.members[next]).unreplicated);
-    let picture = robot.members[next].snapshot().await.to_json();
+    let picture = robot.members[next].snapshot().await;
     assert!(picture.contains(r#""services":[{"#) && picture.contains(r#""unreplicated":true"#));
 }
 
