@@ -84,8 +84,7 @@
 //!
 //! | feature | brings |
 //! | --- | --- |
-//! | `network` | what takes more than one node: [`Network`], [`Link`] and [`Cable`], networks in memory and over [media](medium) of an application's own; [services](manual::services); [names of the whole robot](manual::names); what a node says of networks, links, routes and sessions ([`Node::links`], [`Node::connected`]), and [`Node::isolate`] |
-//! | `ip`, `unix`, `serial`, `can`, `slcan` | one medium each, and `network` |
+//! | `ip`, `unix`, `serial`, `can`, `slcan` | one medium each; networks in memory and over [media](medium) of an application's own need none |
 //! | `unix` | [`NodeBuilder::inspection_socket`] too, at which `blastema monitor` looks |
 //! | `device` | [small devices](manual::devices), and `serial`; with `ip` also those on UDP |
 //! | `process` | [programs in any language](ProcessSpec) as components |

@@ -158,7 +158,6 @@ impl NodeBuilder {
 
     /// Finds what can be known to be wrong with the networks, and with commanders on them.
     fn check_networks(&mut self, node: &NodeName) -> Result<(), Vec<StartError>> {
-        #[cfg(feature = "network")]
         self.networks.check(node)?;
         for policy in &self.policies {
             // One that is this node is refused with the policies.
@@ -173,10 +172,7 @@ impl NodeBuilder {
 
 /// Finds what is wrong with the networks and the tree, or else with the rest of the description.
 fn check(mut builder: NodeBuilder, refused: &mut Vec<StartError>) -> Result<(), Vec<StartError>> {
-    #[cfg(feature = "network")]
-    {
-        builder.networks.hosts = Hosts::Numbered(Default::default());
-    }
+    builder.networks.hosts = Hosts::Numbered(Default::default());
     let node = builder.checked_name()?;
     refused.extend(builder.check_networks(&node).err().into_iter().flatten());
     // The chain is made for the names of its objects alone.

@@ -46,7 +46,6 @@ pub use lost_communication::{
 pub use network::{
     Cable, Direction, Impairment, IsolateError, Link, MediumKind, MemoryMedium, Network, NotReady,
 };
-#[cfg(feature = "network")]
 pub use network_rows::NetworkRow;
 pub use order::{ComponentOrder, OrderReply, OrderRow, OrderVerb};
 pub use tree::{Subtree, SupervisorSpec};

@@ -25,10 +25,7 @@ pub(super) const PART_TIMEOUT: Duration = Duration::from_secs(1);
 /// `null`.
 pub(super) async fn document(node: &Node) -> Value {
     let own = join(in_time(node.table()), in_time(node.faults()));
-    #[cfg(feature = "network")]
     let (network, own) = join(network::NetworkParts::of(node), own).await;
-    #[cfg(not(feature = "network"))]
-    let own = own.await;
     let (table, faults) = own;
     let (seen_at, state) = (platform::now(), node.state());
     let faults = faults.as_ref();
@@ -61,7 +58,6 @@ pub(super) async fn document(node: &Node) -> Value {
         document["trees"] = json!(node.trees());
         document["tree_changes"] = rows_of(&node.tree_changes(), change).into();
     }
-    #[cfg(feature = "network")]
     network.show_in(node, &mut document);
     document
 }
