@@ -3,6 +3,7 @@
 mod forbidden;
 mod inbound;
 mod inputs;
+mod node_state;
 mod peer;
 mod subscriptions;
 mod undelivered;
@@ -13,6 +14,7 @@ pub(super) use subscriptions::LocalEvent;
 use super::NetEnvironment;
 use super::fault_reporter::FaultReporter;
 use super::gateway_messages::{LocalReply, TopicInterestChanged};
+use super::roster_watch::RosterWatch;
 use super::sessions::{DiscardedSession, PeerSessions};
 use super::stub::{PeerCondition, PeerSendState, PeerStubs};
 use crate::messaging::dead_letters::DeadLetterLog;
@@ -22,7 +24,7 @@ use crate::registry::{MessageMetadata, Registry, ReplyTo};
 use crate::topic::{TopicKey, Topics};
 use actix::prelude::*;
 use blastema_contract::monitor::NodeReported;
-use blastema_contract::session::PeerStatusChanged;
+use blastema_contract::session::DirectoryReport;
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::{
@@ -36,7 +38,7 @@ use bytes::Bytes;
 use forbidden::ForbiddenAlarm;
 use inbound::{InboundBacklog, PeerBinding};
 use peer::GatewayPeer;
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 use subscriptions::Forwarded;
 use tracing::{debug, error, info};
 
@@ -59,8 +61,10 @@ struct GatewaySetup {
     deaths: DeathWatchService,
     dead_letters: DeadLetterLog,
     may_be_away: SortedSet<NodeName>,
-    /// Who of this node talks to others like itself.
-    observers: Vec<Recipient<PeerStatusChanged>>,
+    /// The directory of this node, and those of others.
+    directory: Option<Recipient<DirectoryReport>>,
+    /// Checks the rosters of other nodes. It ends with the node's network.
+    roster_watch: Weak<RosterWatch>,
 }
 
 /// Speaks for the objects of this node.
@@ -93,10 +97,13 @@ impl ObjectGateway {
         deaths: DeathWatchService,
         (faults, stack): (FaultReporter, StackRecipients),
     ) -> Self {
-        let NetEnvironment { registry, topics, nodes, dead_letters, observers, .. } =
-            environment.clone();
+        let NetEnvironment { registry, topics, nodes, dead_letters, .. } = environment.clone();
         let may_be_away = environment.may_be_away.clone();
+        let directory = environment.directory.as_ref().map(|line| line.reports.clone());
         let mut exchange = PeerProtocol::default();
+        if let Some(keys) = &environment.keys {
+            exchange.handle_roster(keys.serial(), keys.roster_text());
+        }
         if let Some(policy) = registry.access().policy() {
             exchange.handle_access((*policy).clone());
         }
@@ -110,7 +117,8 @@ impl ObjectGateway {
             deaths,
             dead_letters,
             may_be_away,
-            observers,
+            directory,
+            roster_watch: Weak::new(),
         };
         ObjectGateway {
             wiring,
@@ -234,6 +242,13 @@ impl ObjectGateway {
                 self.forget_past(peer);
                 self.with_send_state(peer, PeerSendState::handle_announced)
             }
+            PeerProtocolOutput::SafeState { peer, reason } => self.peer_rests(peer, reason),
+            PeerProtocolOutput::Roster { peer, text } => self.offer_roster(peer, &text),
+            PeerProtocolOutput::Directory { peer, message } => {
+                if let Some(GatewayPeer { node, .. }) = self.peers.get(&peer) {
+                    self.tell_directory(DirectoryReport::Said { node: node.clone(), message });
+                }
+            }
             PeerProtocolOutput::Bye { peer } => self.handle_bye(peer),
             PeerProtocolOutput::Forget { peer, why } => self.forget(peer, &why),
         }
@@ -285,15 +300,17 @@ impl ObjectGateway {
         known.send_state.set(PeerCondition::Left);
         let (node, incarnation) = (known.node.clone(), known.incarnation);
         info!(%node, %incarnation, "node leaves in order");
-        self.report_peer(&PeerStatusChanged::Left { node: node.clone() });
+        self.tell_directory(DirectoryReport::Left { node: node.clone() });
         if let Some(nodes) = &self.wiring.nodes {
             let condition = NodeCondition::Left;
             nodes.do_send(NodeReported { node, incarnation, condition });
         }
     }
 
-    fn report_peer(&self, seen: &PeerStatusChanged) {
-        self.wiring.observers.iter().for_each(|observer| observer.do_send(seen.clone()));
+    fn tell_directory(&self, report: DirectoryReport) {
+        if let Some(directory) = &self.wiring.directory {
+            directory.do_send(report);
+        }
     }
 
     /// Why the session with a peer has ended, as its callers are told.

@@ -29,11 +29,8 @@ mod links;
 pub(crate) mod operator;
 mod own_incarnation;
 pub(crate) mod own_name;
-pub(crate) mod peer_messages;
-mod roster_exchange;
 mod roster_watch;
 mod router;
-pub(crate) mod safe_state;
 mod sessions;
 mod stack;
 mod stub;
@@ -42,8 +39,7 @@ mod tests;
 
 pub(crate) use carrier::Interface;
 pub(crate) use discovery::DiscoverySpec;
-pub use roster_exchange::RosterRow;
-pub(crate) use roster_watch::RosterChanged;
+pub use keys::RosterRow;
 
 use self::fault_forwarding::RemoteRecoverer;
 use self::fault_reporter::FaultReporter;
@@ -60,11 +56,14 @@ use actix_rt::ArbiterHandle;
 use blastema_contract::link::{AddLinks, LinkRow, ReadLinks};
 use blastema_contract::monitor::{LinkReported, NodeReported};
 use blastema_contract::recoverer::Recover;
+use blastema_contract::recoverer::SafeStateChanged;
 use blastema_contract::reports::{
     AreYouAlive, DeclaredFaultCleared, FaultDeclared, LivenessReported,
 };
 use blastema_contract::router::{InjectPanic, ReadRoutes, Routes};
-use blastema_contract::session::{CloseSessions, PeerStatusChanged, ReadSessions, SessionRow};
+use blastema_contract::session::{
+    CloseSessions, DirectoryReport, ReadSessions, SendToDirectory, SessionRow,
+};
 use blastema_contract::strategy::{IsolateNode, Reroute};
 use blastema_contract::transport::{MediumAddress, ReadCounters, Transport, TransportCounters};
 use blastema_core::net::LinkId;
@@ -72,9 +71,8 @@ use blastema_core::net::discovery::LEARNED_MAX;
 use blastema_core::sorted::SortedSet;
 use blastema_core::{Incarnation, NodeName, ObjectName};
 use discovery::{AddNetworks, DiscoveryActor, DiscoveryNetwork, NetworkLinks};
-use roster_exchange::{AttachRosterWatch, ReadRoster, RosterActor};
 use roster_watch::RosterWatch;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 /// One medium of this node, and its neighbours there.
@@ -160,12 +158,19 @@ pub(crate) struct NetEnvironment {
     pub(crate) faults: Option<Recipient<FaultDeclared>>,
     /// Is told of those that are over.
     pub(crate) cleared: Option<Recipient<DeclaredFaultCleared>>,
-    /// Are told whom they can talk to.
-    pub(crate) observers: Vec<Recipient<PeerStatusChanged>>,
-    /// Are told of a newer roster.
-    pub(crate) roster_observers: Vec<Recipient<RosterChanged>>,
+    /// The directory of this node.
+    pub(crate) directory: Option<DirectoryLine>,
     /// With which frames are sealed.
     pub(crate) keys: Option<Arc<keys::NodeKeys>>,
+}
+
+/// Between the network and the directory of a node.
+#[derive(Clone)]
+pub(crate) struct DirectoryLine {
+    /// The directory.
+    pub(crate) reports: Recipient<DirectoryReport>,
+    /// The network, once it is started.
+    pub(crate) network: Arc<OnceLock<Recipient<SendToDirectory>>>,
 }
 
 impl NetEnvironment {
@@ -208,7 +213,6 @@ pub(crate) struct NetHandle {
     deaths: DeathWatchService,
     isolation: isolation::IsolationControl,
     carrier: Arc<carrier::CarrierMonitor>,
-    roster: Option<Addr<RosterActor>>,
     own_name: OwnName,
     /// Ends with the last handle.
     _roster_watch: Option<Arc<RosterWatch>>,
@@ -224,7 +228,6 @@ pub(crate) fn start(
 ) -> Result<NetHandle, NetError> {
     check(&networks)?;
     platform::keep_freed_memory();
-    let mut environment = environment;
     let NetEnvironment { node, incarnation, guardian, arbiter, .. } = environment.clone();
     let on_arbiter = arbiter.as_ref();
 
@@ -237,20 +240,9 @@ pub(crate) fn start(
     };
     let discovery = (!wiring.fields.is_empty())
         .then(|| guardian.start(named("discovery"), on_arbiter, |_| DiscoveryActor::new(wiring)));
-    let registry = environment.registry.clone();
-    let faults = environment.own_faults("roster");
-    let roster = environment.keys.clone().map(|keys| {
-        guardian.start(named("roster"), on_arbiter, move |context: &mut Context<_>| {
-            RosterActor::new(keys, &registry, faults, context.address().recipient())
-        })
-    });
-    if roster.is_none() {
-        peer_messages::register_sink(named("roster"), &environment.registry);
-    }
     if let Some(recoverer) = environment.recoverer.clone() {
         fault_forwarding::serve(&environment.registry, recoverer);
     }
-    environment.observers.extend(roster.clone().map(Addr::recipient));
 
     let own_name = OwnName::new();
     let keys = environment.keys.clone();
@@ -260,6 +252,10 @@ pub(crate) fn start(
     let make = stack::NetworkStack::maker(&environment, parts);
     let stack = guardian.start(named("stack"), on_arbiter, make);
     stubs.connect(stack.clone().recipient());
+    if let Some(directory) = &environment.directory {
+        // It is set once, here.
+        let _ = directory.network.set(stack.clone().recipient());
+    }
     let isolation = isolation::IsolationControl {
         stubs: stubs.clone(),
         stack: stack.clone().recipient(),
@@ -314,16 +310,16 @@ pub(crate) fn start(
         (name, address)
     });
     let networks: Vec<(_, Addr<links::LinksActor>)> = networks.collect();
-    let roster_watch = roster.as_ref().zip(keys).map(|(roster, keys)| {
+    let roster_watch = keys.map(|keys| {
         let links = networks.iter().map(|(_, links)| links.clone().recipient());
         // Who is not missed any more is known before the links go down.
         let first = [stack.clone().recipient()].into_iter();
-        let others = discovery.clone().map(Addr::recipient).into_iter();
-        let others = others.chain(environment.roster_observers);
+        let others = discovery.clone().map(Addr::recipient);
         let told = first.chain(links).chain(others).collect();
-        let exchange = (roster.clone().recipient(), roster.clone().recipient());
-        let watch = Arc::new(RosterWatch::start(keys, exchange, told));
-        roster.do_send(AttachRosterWatch(Arc::downgrade(&watch)));
+        let faults = environment.own_faults("roster");
+        let watch = RosterWatch::start((keys, faults), stack.clone().recipient(), told);
+        let watch = Arc::new(watch);
+        stack.do_send(stack::AttachRosterWatch(Arc::downgrade(&watch)));
         watch
     });
     if let Some(discovery) = &discovery {
@@ -342,7 +338,6 @@ pub(crate) fn start(
         deaths,
         isolation,
         carrier,
-        roster,
         own_name,
         _roster_watch: roster_watch,
     })
@@ -455,7 +450,7 @@ impl NetHandle {
 
     /// The roster that is used; none without keys.
     pub(crate) async fn read_roster(&self) -> Option<RosterRow> {
-        self.roster.as_ref()?.send(ReadRoster).await.ok()
+        self.stack.send(stack::ReadRoster).await.ok().flatten()
     }
 
     /// All sessions.
@@ -494,7 +489,6 @@ impl NetHandle {
         let mut all = vec![self.stack.clone().recipient()];
         all.extend(self.networks.iter().map(|(_, links)| links.clone().recipient()));
         all.extend(self.discovery.clone().map(Addr::recipient));
-        all.extend(self.roster.clone().map(Addr::recipient));
         all
     }
 
@@ -518,9 +512,12 @@ impl NetHandle {
         }
         let discovery = self.discovery.clone().map(Addr::recipient);
         all.extend(discovery.map(|pings| (named("discovery"), pings)));
-        let roster = self.roster.clone().map(Addr::recipient);
-        all.extend(roster.map(|pings| (named("roster"), pings)));
         all
+    }
+
+    /// Is told of the safe state of this node, and tells peers.
+    pub(crate) fn safe_states(&self) -> Recipient<SafeStateChanged> {
+        self.stack.clone().recipient()
     }
 
     /// Takes requests for another way, from the recovery strategy.

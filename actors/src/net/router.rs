@@ -1,7 +1,7 @@
 //! The router of this node, for the network's stack.
 
 use super::fault_reporter::FaultReporter;
-use super::keys::NodeKeys;
+use super::keys::{NodeKeys, RosterRow};
 use super::own_name::OwnName;
 use crate::platform;
 use actix::prelude::*;
@@ -63,6 +63,11 @@ impl NodeRouter {
             own_name,
             keys,
         }
+    }
+
+    /// The roster that is used, for display.
+    pub(super) fn roster(&self) -> Option<RosterRow> {
+        Some(self.keys.as_ref()?.row())
     }
 
     /// A name is used twice: a user must act.

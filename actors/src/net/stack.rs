@@ -13,8 +13,9 @@ use super::NetEnvironment;
 use super::gateway::{CapacityAvailable, LocalEvent, ObjectGateway, StackRecipients};
 use super::gateway_messages::{LocalReply, SendToPeer, StartCompleted, TopicInterestChanged};
 use super::isolation::{IsolationChanged, IsolationControl};
+use super::keys::RosterRow;
 use super::own_name::OwnName;
-use super::roster_watch::RosterChanged;
+use super::roster_watch::{RosterChanged, RosterFound, RosterWatch};
 use super::router::{NodeRouter, Verdict};
 use super::sessions::PeerSessions;
 use super::stub::PeerStubs;
@@ -26,13 +27,14 @@ use crate::runtime::guardian::answers_the_monitor;
 use crate::runtime::pending_answer::PendingAnswer;
 use actix::prelude::*;
 use blastema_contract::link::{AddLinks, LinkChanged, ReceivedOnLink};
+use blastema_contract::recoverer::SafeStateChanged;
 use blastema_contract::router::{InjectPanic, ReadRoutes, Routes};
-use blastema_contract::session::{CloseSessions, ReadSessions, SessionRow};
+use blastema_contract::session::{CloseSessions, ReadSessions, SendToDirectory, SessionRow};
 use blastema_contract::strategy::{IsolateNode, Reroute};
 use blastema_core::net::{NodeId, RouterOutput, SessionOutput};
 use blastema_core::recovery::{RecoveryDone, RecoveryFailed};
 use blastema_core::{FaultLocation, Instant, Machine};
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 use tokio::sync::oneshot;
 use tracing::{debug, error, info};
@@ -59,6 +61,16 @@ pub(super) struct LowerFloors {
     /// A change of a path that waits for what the sessions do about earlier segments.
     held: Option<RouterOutput>,
 }
+
+/// Takes the rosters of other nodes from now on.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(super) struct AttachRosterWatch(pub(super) Weak<RosterWatch>);
+
+/// Asks for the roster that is used.
+#[derive(Message)]
+#[rtype(result = "Option<RosterRow>")]
+pub(super) struct ReadRoster;
 
 /// What [`LowerFloors`] want done.
 pub(super) enum StackOutput {
@@ -404,6 +416,50 @@ impl Handler<RosterChanged> for NetworkStack {
         self.gateway.handle_roster(&keys);
         self.lower.with_router(|router| router.handle_roster(keys));
         self.drive_all(context);
+    }
+}
+
+impl Handler<RosterFound> for NetworkStack {
+    type Result = ();
+
+    fn handle(&mut self, RosterFound(keys): RosterFound, context: &mut Context<Self>) {
+        self.gateway.announce_roster(&keys);
+        self.drive_all(context);
+    }
+}
+
+impl Handler<AttachRosterWatch> for NetworkStack {
+    type Result = ();
+
+    fn handle(&mut self, AttachRosterWatch(watch): AttachRosterWatch, _: &mut Context<Self>) {
+        self.gateway.attach_roster_watch(watch);
+    }
+}
+
+impl Handler<ReadRoster> for NetworkStack {
+    type Result = MessageResult<ReadRoster>;
+
+    fn handle(&mut self, _: ReadRoster, _: &mut Context<Self>) -> Self::Result {
+        MessageResult(self.lower.router.roster())
+    }
+}
+
+impl Handler<SafeStateChanged> for NetworkStack {
+    type Result = ();
+
+    fn handle(&mut self, message: SafeStateChanged, context: &mut Context<Self>) {
+        self.gateway.handle_safe_state(message);
+        self.drive_all(context);
+    }
+}
+
+impl Handler<SendToDirectory> for NetworkStack {
+    type Result = ();
+
+    fn handle(&mut self, message: SendToDirectory, context: &mut Context<Self>) {
+        let SendToDirectory { node, message } = message;
+        self.gateway.exchange.handle_directory(NodeId::of(&node), message);
+        self.drive_all_soon(context);
     }
 }
 

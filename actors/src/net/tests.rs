@@ -204,8 +204,7 @@ impl Robot {
             faults: Some(declared.recipient()),
             cleared: None,
             session_timeout: IDLE_TIMEOUT,
-            observers: Vec::new(),
-            roster_observers: Vec::new(),
+            directory: None,
             keys: None,
         };
         let net = start(environment, specs).unwrap();

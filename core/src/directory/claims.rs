@@ -5,18 +5,12 @@
 //! count.
 
 use super::types::{ClaimRefused, ClaimRequest, NameClaim, NameHeld};
-use super::{CLAIMS_MAX, ClaimPolicy, Directory, DirectoryKey, DirectoryOutput, Holder};
+use super::{CLAIMS_MAX, ClaimPolicy, Directory, DirectoryKey, DirectoryOutput, Holder, Presence};
 use crate::net::NodeId;
 use crate::net::trust::access::{AccessDenied, AccessPolicy};
 use crate::net::trust::policy::Verb;
 use crate::sorted::SortedMap;
 use crate::{Incarnation, Instant, NodeName, ObjectName};
-
-/// Epochs are below it.
-pub(super) const EPOCH_MAX: u64 = 1 << 62;
-/// The greatest epoch that an incarnation begins with: the milliseconds of its clock times 2^16,
-/// until the year 2527.
-const EPOCH_OF_CLOCKS: u64 = 1 << 60;
 
 /// A claim of this node.
 #[derive(Debug)]
@@ -41,7 +35,7 @@ impl OwnClaim {
 
 /// The epoch before the first of this incarnation.
 pub(super) fn first_epoch(incarnation: Incarnation) -> u64 {
-    incarnation.0.saturating_mul(1 << 16).min(EPOCH_OF_CLOCKS)
+    incarnation.0.saturating_mul(1 << 16)
 }
 
 impl Directory {
@@ -167,7 +161,7 @@ impl Directory {
     pub(super) fn take(&mut self, name: &ObjectName) -> Option<u64> {
         let OwnClaim { object, policy, .. } = self.own.get(name)?;
         let (object, policy) = (object.clone(), *policy);
-        self.last_epoch = (self.last_epoch + 1).min(EPOCH_MAX - 1);
+        self.last_epoch = self.last_epoch.saturating_add(1);
         let epoch = self.last_epoch;
         self.set_own(name, Some(OwnClaim { object, policy, epoch: Some(epoch), take_at: None }));
         self.outputs.push_back(DirectoryOutput::Granted { name: name.clone(), epoch });
@@ -197,8 +191,9 @@ impl Directory {
                 self.outputs.push_back(DirectoryOutput::Refused { name, refused });
             }
         }
-        let told = self.peers.iter().flat_map(|(node, peer)| {
-            peer.table.records.iter().map(|(key, claim)| (node.clone(), key.clone(), claim.clone()))
+        let peers = self.peers.iter().filter(|(_, peer)| peer.presence != Presence::Gone);
+        let told = peers.flat_map(|(node, peer)| {
+            peer.records.iter().map(|(key, claim)| (node.clone(), key.clone(), claim.clone()))
         });
         let told: Vec<_> = told.collect();
         for (node, key, claim) in told {

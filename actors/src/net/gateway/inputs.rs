@@ -6,7 +6,7 @@ use crate::net::stub::PeerCondition;
 use crate::platform;
 use crate::topic::TopicKey;
 use blastema_contract::monitor::NodeReported;
-use blastema_contract::session::PeerStatusChanged;
+use blastema_contract::session::DirectoryReport;
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::{Call, TransmitState};
@@ -24,11 +24,13 @@ impl ObjectGateway {
     pub(in crate::net) fn handle_reachable(&mut self, node: &NodeName, incarnation: Incarnation) {
         let (peer, send_state) = self.meet(node);
         self.exchange.handle_reachable(peer);
-        if let Some(peer) = self.peers.get_mut(&peer) {
-            peer.left &= peer.incarnation == incarnation;
-            send_state.path_found(incarnation != peer.incarnation);
-        }
-        if !send_state.has_session() {
+        let Some(known) = self.peers.get_mut(&peer) else { return };
+        let is_newer = known.incarnation != incarnation;
+        known.left &= !is_newer;
+        send_state.path_found(is_newer);
+        if send_state.has_session() && !is_newer && !send_state.is_isolated() {
+            self.tell_directory(DirectoryReport::Opened { node: node.clone(), incarnation });
+        } else if !send_state.has_session() {
             self.set(peer, PeerCondition::Opening);
         }
     }
@@ -39,6 +41,7 @@ impl ObjectGateway {
         self.exchange.handle_unreachable(peer);
         self.wiring.deaths.handle_opening(peer);
         send_state.path_lost();
+        self.tell_directory(DirectoryReport::Unreachable { node: node.clone() });
         if !send_state.has_session() {
             self.set(peer, PeerCondition::Unreachable);
         }
@@ -57,7 +60,7 @@ impl ObjectGateway {
         self.wiring.deaths.handle_opening(id);
         self.exchange.handle_opened(id, incarnation, platform::now());
         send_state.begin();
-        self.report_peer(&PeerStatusChanged::Opened { node: node.clone(), incarnation });
+        self.tell_directory(DirectoryReport::Opened { node: node.clone(), incarnation });
         if let Some(nodes) = &self.wiring.nodes {
             // What was found lost before a restart is over, too.
             let (node, condition) = (node.clone(), NodeCondition::InSession);
@@ -100,7 +103,7 @@ impl ObjectGateway {
         self.exchange.handle_ended(peer, &why);
         self.forget_forbidden(peer);
         if let Some(peer) = self.peers.get(&peer) {
-            self.report_peer(&PeerStatusChanged::Ended { node: peer.node.clone() });
+            self.tell_directory(DirectoryReport::Ended { node: peer.node.clone() });
         }
     }
 
@@ -134,7 +137,7 @@ impl ObjectGateway {
         let (peer, _) = self.meet(node);
         self.exchange.handle_ended(peer, &DeliveryError::isolated(node));
         self.forget_forbidden(peer);
-        self.report_peer(&PeerStatusChanged::Ended { node: node.clone() });
+        self.tell_directory(DirectoryReport::Ended { node: node.clone() });
     }
 
     pub(in crate::net) fn handle_send(&mut self, message: SendToPeer) {

@@ -99,8 +99,7 @@ fn two_links_of_one_name_are_refused_before_anything_starts() {
             faults: None,
             cleared: None,
             session_timeout: IDLE_TIMEOUT,
-            observers: Vec::new(),
-            roster_observers: Vec::new(),
+            directory: None,
             keys: None,
         };
 

@@ -78,7 +78,7 @@ use std::time::Duration;
 /// has a stream of its own; from 6 on an open tells what arrived in the session before; from 7 on
 /// faults come as requests, and a reply that cannot be written is an error of its own; from 8 on
 /// one acknowledgement speaks of all streams.
-pub const VERSION: u8 = 8;
+pub const VERSION: u8 = 9;
 
 /// The machine of one peer node's sessions, one after the other.
 #[derive(Debug)]
