@@ -18,7 +18,6 @@
 
 mod carrier;
 mod credit;
-mod discovery;
 mod fault_forwarding;
 pub(crate) mod fault_reporter;
 mod gateway;
@@ -38,8 +37,8 @@ mod stub;
 mod tests;
 
 pub(crate) use carrier::Interface;
-pub(crate) use discovery::DiscoverySpec;
 pub use keys::RosterRow;
+pub(crate) use links::DiscoverySpec;
 
 use self::fault_forwarding::RemoteRecoverer;
 use self::fault_reporter::FaultReporter;
@@ -70,7 +69,6 @@ use blastema_core::net::LinkId;
 use blastema_core::net::discovery::LEARNED_MAX;
 use blastema_core::sorted::SortedSet;
 use blastema_core::{Incarnation, NodeName, ObjectName};
-use discovery::{AddNetworks, DiscoveryActor, DiscoveryNetwork, NetworkLinks};
 use roster_watch::RosterWatch;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
@@ -205,7 +203,6 @@ pub(crate) struct NetHandle {
     networks: Vec<(ObjectName, Addr<links::LinksActor>)>,
     /// The counters of each network's transport.
     media: Vec<(Arc<str>, Recipient<ReadCounters>)>,
-    discovery: Option<Addr<DiscoveryActor>>,
     guardian: Guardian,
     arbiter: Option<ArbiterHandle>,
     registry: Registry,
@@ -231,15 +228,7 @@ pub(crate) fn start(
     let NetEnvironment { node, incarnation, guardian, arbiter, .. } = environment.clone();
     let on_arbiter = arbiter.as_ref();
 
-    let ((numbers, dial_in), fields) = number(&networks);
-    let wiring = discovery::DiscoveryRecipients {
-        node: node.clone(),
-        fields,
-        faults: environment.own_faults("discovery"),
-        keys: environment.keys.clone(),
-    };
-    let discovery = (!wiring.fields.is_empty())
-        .then(|| guardian.start(named("discovery"), on_arbiter, |_| DiscoveryActor::new(wiring)));
+    let numbers = number(&networks);
     if let Some(recoverer) = environment.recoverer.clone() {
         fault_forwarding::serve(&environment.registry, recoverer);
     }
@@ -264,7 +253,7 @@ pub(crate) fn start(
     let remote: Arc<dyn StubFactory> = stubs.clone();
     environment.registry.connect(remote);
 
-    let (mut watched, mut domains) = (Vec::new(), Vec::new());
+    let mut watched = Vec::new();
     let media = networks.iter().map(|spec| (spec.name.clone(), spec.transport.counters.clone()));
     let media = media.collect();
     if let Some(keys) = &keys {
@@ -272,10 +261,11 @@ pub(crate) fn start(
         let orders = operator::IsolationOrders::new(node.clone(), isolation.clone());
         operator::serve(&environment.registry, keys, networks.collect(), orders);
     }
-    let networks = networks.into_iter().zip(numbers).zip(dial_in).map(|((spec, numbers), free)| {
+    let networks = networks.into_iter().zip(numbers).map(|(spec, numbers)| {
         let name = named(&format!("links/{}", spec.name));
-        let links = spec.links.into_iter().zip(&numbers).map(|(link, n)| (*n, link)).collect();
-        let discovery_actor = spec.discovery.and(discovery.clone()).map(Addr::recipient);
+        let links = spec.links.into_iter().zip(&numbers.described).map(|(link, n)| (*n, link));
+        let links = links.collect();
+        let discovery = spec.discovery.map(|discovery| (discovery, numbers.learned.clone()));
         let faults = environment.own_faults(&format!("links/{}", spec.name));
         let wiring = links::LinksRecipients {
             node: node.clone(),
@@ -287,25 +277,21 @@ pub(crate) fn start(
             router_loads: stack.clone().recipient(),
             monitor: environment.links.clone(),
             stalls: environment.stalls.clone(),
-            discovery: discovery_actor.clone().map(|actor| (domains.len(), actor)),
             faults,
             seal: keys.clone().zip(spec.seal),
-            dial_in: free.clone(),
+            dial_in: numbers.dial_in.clone(),
         };
-        let address = guardian
-            .start(name.clone(), on_arbiter, move |_| links::LinksActor::new(wiring, links));
-        domains.extend(discovery_actor.map(|_| NetworkLinks {
-            learn: address.clone().recipient(),
-            forget: address.clone().recipient(),
-            tell: address.clone().recipient(),
-        }));
+        let address = guardian.start(name.clone(), on_arbiter, move |_| {
+            links::LinksActor::new(wiring, links, discovery)
+        });
         if let Some(interface) = spec.interface {
             watched.push(carrier::MonitoredInterface {
                 interface,
                 recipient: address.clone().recipient(),
             });
         }
-        let links = numbers.into_iter().chain(free).collect();
+        let LinkNumbers { described, learned, dial_in } = numbers;
+        let links = described.into_iter().chain(learned).chain(dial_in).collect();
         stack.do_send(AddLinks { links, carry: address.clone().recipient() });
         (name, address)
     });
@@ -313,24 +299,18 @@ pub(crate) fn start(
     let roster_watch = keys.map(|keys| {
         let links = networks.iter().map(|(_, links)| links.clone().recipient());
         // Who is not missed any more is known before the links go down.
-        let first = [stack.clone().recipient()].into_iter();
-        let others = discovery.clone().map(Addr::recipient);
-        let told = first.chain(links).chain(others).collect();
+        let told = [stack.clone().recipient()].into_iter().chain(links).collect();
         let faults = environment.own_faults("roster");
         let watch = RosterWatch::start((keys, faults), stack.clone().recipient(), told);
         let watch = Arc::new(watch);
         stack.do_send(stack::AttachRosterWatch(Arc::downgrade(&watch)));
         watch
     });
-    if let Some(discovery) = &discovery {
-        discovery.do_send(AddNetworks(domains));
-    }
     let carrier = Arc::new(carrier::CarrierMonitor::start(watched));
     Ok(NetHandle {
         stack,
         networks,
         media,
-        discovery,
         guardian,
         arbiter,
         registry: environment.registry,
@@ -343,32 +323,29 @@ pub(crate) fn start(
     })
 }
 
-/// The numbers of the links of each network, and those that it has left for operators' links.
-type LinkNumbers = (Vec<Vec<LinkId>>, Vec<Vec<LinkId>>);
+/// The numbers of the links of one network.
+struct LinkNumbers {
+    described: Vec<LinkId>,
+    /// For links that are learned, where it discovers.
+    learned: Vec<LinkId>,
+    /// For operators that connect by themselves, where it is sealed.
+    dial_in: Vec<LinkId>,
+}
 
-/// Gives every link its number; a network that discovers has some left for those that are learned,
-/// and one that is sealed for operators.
-fn number(networks: &[NetworkSpec]) -> (LinkNumbers, Vec<DiscoveryNetwork>) {
-    let (mut next, mut all, mut free, mut fields) = (0, Vec::new(), Vec::new(), Vec::new());
-    for NetworkSpec { name, links, discovery, seal, .. } in networks {
-        let mut take = |count: usize| -> Vec<LinkId> {
-            let first = next;
-            next += count as u16;
-            (first..next).map(LinkId).collect()
-        };
-        let mut numbers = take(links.len());
-        if let Some(spec) = discovery {
-            let learned = take(LEARNED_MAX);
-            numbers.extend(&learned);
-            let known = |link: &LinkSpec| Some((link.neighbour.clone()?, link.remote.clone()));
-            let described = links.iter().filter_map(known).collect();
-            let (network, spec) = (name.clone(), spec.clone());
-            fields.push(DiscoveryNetwork { network, spec, numbers: learned, described });
-        }
-        all.push(numbers);
-        free.push(seal.map_or_else(Vec::new, |_| take(links::DIALED_IN_MAX)));
-    }
-    ((all, free), fields)
+/// Gives every link its number.
+fn number(networks: &[NetworkSpec]) -> Vec<LinkNumbers> {
+    let mut next = 0;
+    let mut take = |count: usize| -> Vec<LinkId> {
+        let first = next;
+        next += count as u16;
+        (first..next).map(LinkId).collect()
+    };
+    let numbers = networks.iter().map(|NetworkSpec { links, discovery, seal, .. }| LinkNumbers {
+        described: take(links.len()),
+        learned: take(if discovery.is_some() { LEARNED_MAX } else { 0 }),
+        dial_in: take(if seal.is_some() { links::DIALED_IN_MAX } else { 0 }),
+    });
+    numbers.collect()
 }
 
 fn check(networks: &[NetworkSpec]) -> Result<(), NetError> {
@@ -488,7 +465,6 @@ impl NetHandle {
     pub(crate) fn victims(&self) -> Vec<Recipient<InjectPanic>> {
         let mut all = vec![self.stack.clone().recipient()];
         all.extend(self.networks.iter().map(|(_, links)| links.clone().recipient()));
-        all.extend(self.discovery.clone().map(Addr::recipient));
         all
     }
 
@@ -510,8 +486,6 @@ impl NetHandle {
         for (name, links) in &self.networks {
             all.push((name.clone(), links.clone().recipient()));
         }
-        let discovery = self.discovery.clone().map(Addr::recipient);
-        all.extend(discovery.map(|pings| (named("discovery"), pings)));
         all
     }
 
