@@ -19,7 +19,6 @@ use super::sessions::{DiscardedSession, PeerSessions};
 use super::stub::{PeerCondition, PeerSendState, PeerStubs};
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::platform;
-use crate::registry::remote_watch::DeathWatchService;
 use crate::registry::{MessageMetadata, Registry, ReplyTo};
 use crate::topic::{TopicKey, Topics};
 use actix::prelude::*;
@@ -58,7 +57,6 @@ struct GatewaySetup {
     faults: FaultReporter,
     stack: StackRecipients,
     stubs: Arc<PeerStubs>,
-    deaths: DeathWatchService,
     dead_letters: DeadLetterLog,
     may_be_away: SortedSet<NodeName>,
     /// The directory of this node, and those of others.
@@ -94,7 +92,6 @@ impl ObjectGateway {
     pub(super) fn new(
         environment: &NetEnvironment,
         stubs: Arc<PeerStubs>,
-        deaths: DeathWatchService,
         (faults, stack): (FaultReporter, StackRecipients),
     ) -> Self {
         let NetEnvironment { registry, topics, nodes, dead_letters, .. } = environment.clone();
@@ -114,7 +111,6 @@ impl ObjectGateway {
             faults,
             stack,
             stubs,
-            deaths,
             dead_letters,
             may_be_away,
             directory,

@@ -237,8 +237,7 @@ pub(crate) fn start(
     let keys = environment.keys.clone();
     let stubs = Arc::new(stub::PeerStubs::new());
     let deaths = remote_watch::serve(&environment.registry);
-    let parts = (stubs.clone(), deaths.clone(), own_name.clone());
-    let make = stack::NetworkStack::maker(&environment, parts);
+    let make = stack::NetworkStack::maker(&environment, (stubs.clone(), own_name.clone()));
     let stack = guardian.start(named("stack"), on_arbiter, make);
     stubs.connect(stack.clone().recipient());
     if let Some(directory) = &environment.directory {

@@ -21,7 +21,6 @@ use super::sessions::PeerSessions;
 use super::stub::PeerStubs;
 use crate::platform;
 use crate::platform::panics;
-use crate::registry::remote_watch::DeathWatchService;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::answers_the_monitor;
 use crate::runtime::pending_answer::PendingAnswer;
@@ -138,7 +137,7 @@ impl Machine for LowerFloors {
 impl NetworkStack {
     pub(super) fn maker(
         environment: &NetEnvironment,
-        (stubs, deaths, own_name): (Arc<PeerStubs>, DeathWatchService, OwnName),
+        (stubs, own_name): (Arc<PeerStubs>, OwnName),
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
         let environment = environment.clone();
         move |context| {
@@ -155,7 +154,7 @@ impl NetworkStack {
                 events: context.address().recipient(),
             };
             let told = (faults.clone(), recipients);
-            let gateway = ObjectGateway::new(&environment, stubs, deaths, told);
+            let gateway = ObjectGateway::new(&environment, stubs, told);
             let NetEnvironment { node, incarnation, nodes, keys, session_timeout, .. } =
                 environment;
             let (identity, told) = ((node, incarnation), (faults.clone(), nodes.clone()));

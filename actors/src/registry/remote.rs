@@ -12,8 +12,7 @@ use crate::registry::ReplyTo;
 use blastema_core::contract::codec;
 use blastema_core::directory::Holder;
 use blastema_core::{
-    Contract, ContractIdentity, DeliveryError, GatherBuffer, MessageId, NodeName, ObjectAddress,
-    ObjectName,
+    Contract, ContractIdentity, DeliveryError, GatherBuffer, MessageId, ObjectAddress, ObjectName,
 };
 use std::future::Future;
 use std::marker::PhantomData;
@@ -37,12 +36,6 @@ pub(crate) struct OutgoingRequest {
 pub(crate) trait StubFactory: Send + Sync {
     /// A way to this object for this contract. What stands in its way is found when it is used.
     fn stub(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub>;
-
-    /// Whether a path leads to the node now: a session outlives its paths.
-    fn is_reachable(&self, node: &NodeName) -> bool;
-
-    /// Completes when the node is connected next; never where it is connected already.
-    fn opening(&self, node: &NodeName) -> Pin<Box<dyn Future<Output = ()> + Send>>;
 }
 
 /// The way to one object of another node, for one contract.
@@ -102,21 +95,6 @@ impl Registry {
     /// Names of objects of other nodes lead there.
     pub(crate) fn connect(&self, stubs: Arc<dyn StubFactory>) {
         self.lock().remote.stubs = Some(stubs);
-    }
-
-    /// Whether a path leads to another node now.
-    pub(crate) fn is_reachable(&self, node: &NodeName) -> bool {
-        let stubs = self.lock().remote.stubs.clone();
-        stubs.is_some_and(|stubs| stubs.is_reachable(node))
-    }
-
-    /// Completes when a node is connected that is not connected now.
-    pub(crate) async fn opening(&self, node: &NodeName) {
-        let stubs = self.lock().remote.stubs.clone();
-        match stubs {
-            Some(stubs) => stubs.opening(node).await,
-            None => std::future::pending().await,
-        }
     }
 
     /// Names of the whole robot, such as `*:map`, are looked up there.

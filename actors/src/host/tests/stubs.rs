@@ -21,14 +21,6 @@ impl StubFactory for Mirror {
     fn stub(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub> {
         Arc::new(MirrorDoor(self.0.skeleton(&to.object, contract.name).unwrap().1))
     }
-
-    fn is_reachable(&self, _: &NodeName) -> bool {
-        true
-    }
-
-    fn opening(&self, _: &NodeName) -> Pin<Box<dyn Future<Output = ()> + Send>> {
-        Box::pin(std::future::pending())
-    }
 }
 impl RemoteStub for MirrorDoor {
     fn send(
@@ -82,14 +74,6 @@ struct Narrow {
 impl StubFactory for Narrow {
     fn stub(&self, _: ObjectAddress, _: ContractIdentity) -> Arc<dyn RemoteStub> {
         Arc::new(self.clone())
-    }
-
-    fn is_reachable(&self, _: &NodeName) -> bool {
-        true
-    }
-
-    fn opening(&self, _: &NodeName) -> Pin<Box<dyn Future<Output = ()> + Send>> {
-        Box::pin(std::future::pending())
     }
 }
 impl RemoteStub for Narrow {
