@@ -12,7 +12,7 @@ use blastema_contract::reports::{AreYouAlive, DeclaredFaultCleared, FaultDeclare
 use blastema_contract::router::InjectPanic;
 use blastema_contract::session::{DirectoryReport, SendToDirectory};
 use blastema_core::directory::{
-    ClaimRefused, ClaimRequest, Directory, DirectoryConfig, DirectoryKey, DirectoryOutput, Holder,
+    ClaimRefused, ClaimRequest, Directory, DirectoryConfig, DirectoryKey, DirectoryOutput,
     NameHeld, UnmetClaims,
 };
 use blastema_core::net::Refusals;
@@ -61,7 +61,6 @@ struct Own {
 
 pub(crate) struct DirectoryActor {
     setup: DirectorySetup,
-    machine: Directory,
     wake: WakeTimer,
     own: SortedMap<ObjectName, Own>,
     /// Claims of components that the roster refuses: made again when there is another.
@@ -93,9 +92,12 @@ impl DirectoryActor {
         arbiter: Option<&ArbiterHandle>,
     ) -> DirectoryRecipients {
         let names = setup.names.clone();
+        let mut machine = Directory::new(config(&setup), platform::now());
+        if let Some(policy) = setup.registry.access().policy() {
+            machine.handle_access((*policy).clone(), platform::now());
+        }
         setup.registry.set_name_resolver(Arc::new(names.clone()));
         let make = move |_: &mut Context<Self>| DirectoryActor {
-            machine: Directory::new(config(&setup), platform::now()),
             wake: WakeTimer::default(),
             own: SortedMap::new(),
             forbidden: SortedMap::new(),
@@ -108,7 +110,7 @@ impl DirectoryActor {
             setup,
         };
         let actor = guardian.start(crate::net::named("directory"), arbiter, make);
-        names.lead_to(actor.clone().recipient());
+        names.begin(machine, actor.clone().recipient());
         DirectoryRecipients {
             #[cfg(test)]
             panic: actor.clone().recipient(),
@@ -158,7 +160,8 @@ impl DirectoryActor {
         warn!(%name, "a claim is refused: {refused}");
         if let Some(own) = self.own.get(name).filter(|own| own.unattended) {
             let object = own.wanted.object.clone();
-            self.without.handle_refused((name.clone(), own.number), object, &refused);
+            let claim = (name.clone(), own.number);
+            self.without.handle_refused(claim, object, refused.to_string());
             self.say_who_goes_without();
         }
         let is_forbidden = matches!(refused, ClaimRefused::Forbidden { .. });
@@ -177,7 +180,9 @@ impl DirectoryActor {
     fn claim(&mut self, own: Own) {
         let (name, wanted) = (own.wanted.name.clone(), own.wanted.clone());
         self.own.insert(name.clone(), own);
-        if let Err(refused) = self.machine.handle_claim(wanted, platform::now()) {
+        let now = platform::now();
+        let claimed = self.setup.names.change(|machine| machine.handle_claim(wanted, now));
+        if let Err(refused) = claimed {
             self.refused(&name, refused);
         }
     }
@@ -193,7 +198,8 @@ impl DirectoryActor {
         let publishers = topics.published().into_iter().map(|TopicKey { topic, contract }| {
             DirectoryKey::Publisher { topic, contract: contract.to_string() }
         });
-        let untold = self.machine.handle_present(objects.chain(publishers).collect());
+        let present = objects.chain(publishers).collect();
+        let untold = self.setup.names.change(|machine| machine.handle_present(present));
         if untold > self.untold {
             warn!(untold, "other nodes are not told of objects and publishers: there are too many");
         }
@@ -202,7 +208,7 @@ impl DirectoryActor {
 
     /// The policy of the robot is another: what it had forbidden is claimed again.
     fn take_policy(&mut self, policy: AccessPolicy, context: &mut Context<Self>) {
-        self.machine.handle_access(policy, platform::now());
+        self.setup.names.change(|machine| machine.handle_access(policy, platform::now()));
         self.drive(context);
         for (name, own) in std::mem::take(&mut self.forbidden) {
             match self.own.contains_key(&name) {
@@ -215,8 +221,9 @@ impl DirectoryActor {
 
     /// Raises an alarm for a node whose messages are refused for seconds.
     fn look_at_refusals(&mut self) {
-        let looks: Vec<(NodeName, Refusals)> =
-            self.machine.refusals().map(|(node, refusals)| (node.clone(), refusals)).collect();
+        let looks: Vec<(NodeName, Refusals)> = self.setup.names.read(|machine| {
+            machine.refusals().map(|(node, refusals)| (node.clone(), refusals)).collect()
+        });
         for (node, refusals) in looks {
             if let Some(since) = self.complaints.handle_look(node.clone(), refusals) {
                 let detail =
@@ -243,9 +250,6 @@ impl Actor for DirectoryActor {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
-        if let Some(policy) = self.setup.registry.access().policy() {
-            self.machine.handle_access((*policy).clone(), platform::now());
-        }
         context.run_interval(REFUSAL_CHECK_INTERVAL, |actor, _| actor.look_at_refusals());
         context.run_interval(OWN_INTERVAL, |actor, context| {
             actor.look_at_own();
@@ -259,10 +263,7 @@ impl Actor for DirectoryActor {
 impl Supervised for DirectoryActor {
     /// What is claimed here, and what others have told, stays so.
     fn restarting(&mut self, context: &mut Context<Self>) {
-        let now = platform::now();
-        self.setup.names.forget_all();
-        let lost = std::mem::replace(&mut self.machine, Directory::new(config(&self.setup), now));
-        self.machine = lost.rebuilt(now);
+        self.setup.names.rebuild();
         self.revisions = None;
         self.wake = WakeTimer::default();
         self.started(context);
@@ -270,10 +271,10 @@ impl Supervised for DirectoryActor {
 }
 
 impl MachineActor for DirectoryActor {
-    type Machine = Directory;
+    type Machine = DirectoryTable;
 
-    fn driven(&mut self) -> (&mut Directory, &mut WakeTimer) {
-        (&mut self.machine, &mut self.wake)
+    fn driven(&mut self) -> (&mut DirectoryTable, &mut WakeTimer) {
+        (&mut self.setup.names, &mut self.wake)
     }
 
     fn carry_out(&mut self, output: DirectoryOutput, _: &mut Context<Self>) {
@@ -313,17 +314,7 @@ impl MachineActor for DirectoryActor {
                     false => self.end(&name, ClaimState::Lost { to, epoch }),
                 }
             }
-            DirectoryOutput::RecordAdded { node, key } => self.setup.names.add(node, key),
-            DirectoryOutput::RecordRemoved { node, key } => self.setup.names.remove(&node, &key),
-            DirectoryOutput::Held { name, holder } => {
-                self.without.handle_holder(&name, holder.as_ref());
-                self.say_who_goes_without();
-                let with_incarnation = |holder: Holder| {
-                    let incarnation = self.machine.incarnation_of(&holder.node);
-                    (holder, incarnation)
-                };
-                self.setup.names.note(name, holder.map(with_incarnation));
-            }
+            DirectoryOutput::Held { .. } => self.setup.names.holder_changed(),
         }
     }
 }
@@ -341,11 +332,19 @@ impl Handler<ClaimCommand> for DirectoryActor {
                     Some(Own { wanted: own, .. }) => {
                         let other = own.object.clone();
                         let holder = self.setup.node.clone();
-                        let epoch = self.machine.holder(&name).map_or(0, |held| held.epoch);
+                        let epoch = self
+                            .setup
+                            .names
+                            .read(|machine| machine.holder(&name))
+                            .map_or(0, |held| held.epoch);
                         let held = NameHeld { name, holder, epoch };
                         if unattended {
                             let claim = (held.name.clone(), number);
-                            self.without.handle_doubled(claim, wanted.object, &other);
+                            let why = format!(
+                                "{other} of this node claims it too: one of the two is to take \
+                                 another name"
+                            );
+                            self.without.handle_refused(claim, wanted.object, why);
                             self.say_who_goes_without();
                         }
                         state_sender.send_replace(ClaimState::Refused(held.into()));
@@ -360,7 +359,8 @@ impl Handler<ClaimCommand> for DirectoryActor {
                 self.forget_forbidden(&name, number);
                 if self.own.get(&name).is_some_and(|own| own.number == number) {
                     self.own.remove(&name);
-                    self.machine.handle_withdrawn(&name);
+                    let now = platform::now();
+                    self.setup.names.change(|machine| machine.handle_withdrawn(&name, now));
                 }
                 // Also of one that was refused, and goes without.
                 self.has_its_name(&name, number);
@@ -374,27 +374,23 @@ impl Handler<DirectoryReport> for DirectoryActor {
     type Result = ();
 
     fn handle(&mut self, report: DirectoryReport, context: &mut Context<Self>) {
-        let now = platform::now();
+        let (now, names) = (platform::now(), self.setup.names.clone());
         match report {
             DirectoryReport::Opened { node, incarnation } => {
-                self.setup.names.note_opened(node.clone(), incarnation);
                 self.look_at_own();
-                self.machine.handle_opened(node, incarnation, now);
+                names.change(|machine| machine.handle_opened(node, incarnation, now));
             }
             DirectoryReport::Unreachable { node } => {
-                self.setup.names.note_ended(&node);
-                self.machine.handle_unreachable(&node, now);
+                names.change(|machine| machine.handle_unreachable(&node, now));
             }
             DirectoryReport::Ended { node } => {
-                self.setup.names.note_ended(&node);
-                self.machine.handle_ended(&node, now);
+                names.change(|machine| machine.handle_ended(&node, now));
             }
             DirectoryReport::Left { node } => {
-                self.setup.names.note_ended(&node);
-                self.machine.handle_left(&node, now);
+                names.change(|machine| machine.handle_left(&node, now));
             }
             DirectoryReport::Said { node, message } => {
-                self.machine.handle_message(&node, &message, now);
+                names.change(|machine| machine.handle_message(&node, &message, now));
             }
             DirectoryReport::Policy(policy) => self.take_policy(*policy, context),
         }

@@ -86,8 +86,8 @@ pub struct Directory {
     peers: SortedMap<NodeName, DirectoryPeer>,
     /// Who has claimed which name, or stands by.
     known: SortedMap<ObjectName, SortedMap<NodeName, NameClaim>>,
-    /// Who was last told to hold which.
-    shown: SortedMap<ObjectName, Holder>,
+    /// Who was last told to hold which, and when.
+    shown: SortedMap<ObjectName, (Holder, Instant)>,
     last_epoch: u64,
     /// Which nodes may claim which names; without one, all may.
     access: Option<AccessPolicy>,
@@ -135,7 +135,7 @@ impl Directory {
             self.peers.iter().map(|(node, peer)| (node.clone(), peer.presence)).collect();
         for (node, presence) in peers {
             if presence != Presence::Gone {
-                self.count_records(&node, now);
+                self.count_claims(&node, now);
             }
             if presence == Presence::Here {
                 self.tell_all(&node);
@@ -151,6 +151,28 @@ impl Directory {
             None if *node == self.config.node => self.config.incarnation,
             None => Incarnation::default(),
         }
+    }
+
+    /// The names that are held, here and elsewhere: by which node, and since when this one knows.
+    pub fn holders(&self) -> impl Iterator<Item = (&ObjectName, &Holder, Instant)> {
+        self.shown.iter().map(|(name, (holder, since))| (name, holder, *since))
+    }
+
+    /// The other nodes that can be reached, and what each has.
+    pub fn nodes(
+        &self,
+    ) -> impl Iterator<Item = (&NodeName, Incarnation, impl Iterator<Item = &DirectoryKey>)> {
+        let here = self.peers.iter().filter(|(_, peer)| peer.presence == Presence::Here);
+        here.map(|(node, peer)| {
+            (node, peer.incarnation, peer.records.keys().filter(|key| self.has(node, key)))
+        })
+    }
+
+    /// The other nodes that can be reached and have this.
+    pub fn nodes_with(&self, key: &DirectoryKey) -> Vec<NodeName> {
+        let here = self.peers.iter().filter(|(_, peer)| peer.presence == Presence::Here);
+        let having = here.filter(|(_, peer)| peer.records.contains_key(key));
+        having.map(|(node, _)| node).filter(|node| self.has(node, key)).cloned().collect()
     }
 
     /// What was refused of each node: more records than one may have, and nonsense.
@@ -195,7 +217,7 @@ impl Directory {
         let peer = self.peers.entry(node.clone()).or_insert(fresh);
         peer.ended = false;
         if std::mem::replace(&mut peer.presence, Presence::Here) == Presence::Gone {
-            self.count_records(&node, now);
+            self.count_claims(&node, now);
         }
         self.tell_all(&node);
     }

@@ -80,27 +80,23 @@ impl Directory {
             telling.insert(key.clone());
         }
         let before = peer.records.insert(key.clone(), claim.clone());
-        if before.as_ref() != Some(&claim) && peer.presence != Presence::Gone {
-            self.count_record(from, key, claim, now);
+        if before.as_ref() != Some(&claim)
+            && peer.presence != Presence::Gone
+            && let DirectoryKey::Name(name) = &key
+        {
+            self.believe(from, name, claim);
+            self.look_at(name, now);
         }
     }
 
-    /// A record that a node has told of counts from now on.
-    fn count_record(&mut self, from: &NodeName, key: DirectoryKey, claim: NameClaim, now: Instant) {
-        match &key {
-            DirectoryKey::Name(name) => {
-                self.believe(from, name, claim);
-                self.look_at(name, now);
-            }
-            DirectoryKey::Object(_) | DirectoryKey::Publisher { .. } => self.show_record(from, key),
-        }
-    }
-
-    /// All that a node has told of counts from now on.
-    pub(super) fn count_records(&mut self, from: &NodeName, now: Instant) {
+    /// All that a node claims counts from now on.
+    pub(super) fn count_claims(&mut self, from: &NodeName, now: Instant) {
         let records = self.peers.get(from).map(|peer| peer.records.clone());
         for (key, claim) in records.into_iter().flatten() {
-            self.count_record(from, key, claim, now);
+            if let DirectoryKey::Name(name) = key {
+                self.believe(from, &name, claim);
+                self.look_at(&name, now);
+            }
         }
     }
 
@@ -117,15 +113,9 @@ impl Directory {
 
     /// A record counts no more.
     fn discount(&mut self, from: &NodeName, key: &DirectoryKey, now: Instant) {
-        match key {
-            DirectoryKey::Name(name) => {
-                self.disbelieve(from, name);
-                self.look_at(name, now);
-            }
-            DirectoryKey::Object(_) | DirectoryKey::Publisher { .. } => {
-                let (node, key) = (from.clone(), key.clone());
-                self.outputs.push_back(DirectoryOutput::RecordRemoved { node, key });
-            }
+        if let DirectoryKey::Name(name) = key {
+            self.disbelieve(from, name);
+            self.look_at(name, now);
         }
     }
 

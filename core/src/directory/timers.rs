@@ -47,7 +47,7 @@ impl Timers for Directory {
                 let due = self.own.iter().filter(|(_, own)| is_due(own));
                 let due: Vec<ObjectName> = due.map(|(name, _)| name.clone()).collect();
                 for name in due {
-                    self.take(&name);
+                    self.take(&name, now);
                 }
             }
         }

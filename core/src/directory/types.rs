@@ -154,20 +154,6 @@ pub enum DirectoryOutput {
         /// We stand by for it from now on.
         stands_by: bool,
     },
-    /// A node has an object, or a publisher. It may be said again.
-    RecordAdded {
-        /// The node that has it.
-        node: NodeName,
-        /// The object or publisher.
-        key: DirectoryKey,
-    },
-    /// A node has it no more. It may be said again.
-    RecordRemoved {
-        /// The node that had it.
-        node: NodeName,
-        /// The object or publisher.
-        key: DirectoryKey,
-    },
     /// A name has another holder than before, or none.
     Held {
         /// The global name.
