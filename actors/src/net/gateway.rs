@@ -3,17 +3,16 @@
 mod forbidden;
 mod inbound;
 mod inputs;
+mod local;
 mod node_state;
 mod peer;
 mod subscriptions;
 mod undelivered;
 
-pub(super) use inbound::CapacityAvailable;
-pub(super) use subscriptions::LocalEvent;
+pub(super) use local::LocalInput;
 
 use super::NetEnvironment;
 use super::fault_reporter::FaultReporter;
-use super::gateway_messages::{LocalReply, TopicInterestChanged};
 use super::roster_watch::RosterWatch;
 use super::sessions::{DiscardedSession, PeerSessions};
 use super::stub::{PeerCondition, PeerSendState, PeerStubs};
@@ -41,21 +40,13 @@ use std::sync::{Arc, Weak};
 use subscriptions::Forwarded;
 use tracing::{debug, error, info};
 
-/// Where messages to the stack go, from whichever thread.
-pub(super) struct StackRecipients {
-    pub(super) replies: Recipient<LocalReply>,
-    pub(super) interests: Recipient<TopicInterestChanged>,
-    pub(super) capacity: Recipient<CapacityAvailable>,
-    pub(super) events: Recipient<LocalEvent>,
-}
-
 /// What the gateway uses of its node.
 struct GatewaySetup {
     registry: Registry,
     topics: Topics,
     nodes: Option<Recipient<NodeReported>>,
     faults: FaultReporter,
-    stack: StackRecipients,
+    stack: Recipient<LocalInput>,
     stubs: Arc<PeerStubs>,
     dead_letters: DeadLetterLog,
     may_be_away: SortedSet<NodeName>,
@@ -92,7 +83,7 @@ impl ObjectGateway {
     pub(super) fn new(
         environment: &NetEnvironment,
         stubs: Arc<PeerStubs>,
-        (faults, stack): (FaultReporter, StackRecipients),
+        (faults, stack): (FaultReporter, Recipient<LocalInput>),
     ) -> Self {
         let NetEnvironment { registry, topics, nodes, dead_letters, .. } = environment.clone();
         let may_be_away = environment.may_be_away.clone();
@@ -134,10 +125,8 @@ impl ObjectGateway {
 
     /// Listens to the topics that this node's objects listen to.
     pub(super) fn take_interest(&mut self) {
-        let stack = self.wiring.stack.interests.clone();
-        let interest = move |key: &TopicKey| {
-            stack.do_send(TopicInterestChanged { key: key.clone() });
-        };
+        let stack = self.wiring.stack.clone();
+        let interest = move |key: &TopicKey| stack.do_send(LocalInput::Interest(key.clone()));
         self.wiring.topics.on_interest(Arc::new(interest));
         for (key, identities) in self.wiring.topics.listened() {
             self.exchange.handle_interest(topic(&key), identities);
@@ -188,7 +177,7 @@ impl ObjectGateway {
             }
             PeerProtocolOutput::Serve { peer, epoch, binding, call, id, age, until, payload } => {
                 let reply_to =
-                    call.map(|call| reply_to(peer, epoch, call, self.wiring.stack.replies.clone()));
+                    call.map(|call| reply_to(peer, epoch, call, self.wiring.stack.clone()));
                 let metadata =
                     MessageMetadata { id, age, is_first: false, until, from: Some(peer) };
                 self.serve((peer, binding), &payload, metadata, reply_to);
@@ -364,7 +353,7 @@ fn reply_to(
     peer: NodeId,
     epoch: SessionEpoch,
     call: u64,
-    gateway: Recipient<LocalReply>,
+    gateway: Recipient<LocalInput>,
 ) -> ReplyTo {
-    Box::new(move |result| gateway.do_send(LocalReply { peer, epoch, call, result }))
+    Box::new(move |result| gateway.do_send(LocalInput::Reply { peer, epoch, call, result }))
 }

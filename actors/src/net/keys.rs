@@ -128,7 +128,13 @@ impl NodeKeys {
                  copy the newest {node}.key and {robot}.roster here",
                 file.display()
             )),
-            Some(_) => Ok(NodeKeys { own, roster, text: text.into(), path, permissions }),
+            Some(_) => Ok(NodeKeys {
+                own,
+                roster,
+                text: Bytes::copy_from_slice(text.as_bytes()),
+                path,
+                permissions,
+            }),
         }
     }
 

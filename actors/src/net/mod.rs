@@ -22,7 +22,6 @@ mod fault_forwarding;
 pub(crate) mod fault_reporter;
 mod gateway;
 mod gateway_messages;
-mod isolation;
 pub(crate) mod keys;
 mod links;
 pub(crate) mod operator;
@@ -42,6 +41,7 @@ pub(crate) use links::DiscoverySpec;
 
 use self::fault_forwarding::RemoteRecoverer;
 use self::fault_reporter::FaultReporter;
+use self::gateway::LocalInput;
 use self::own_name::OwnName;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::platform;
@@ -60,9 +60,7 @@ use blastema_contract::reports::{
     AreYouAlive, DeclaredFaultCleared, FaultDeclared, LivenessReported,
 };
 use blastema_contract::router::{InjectPanic, ReadRoutes, Routes};
-use blastema_contract::session::{
-    CloseSessions, DirectoryReport, ReadSessions, SendToDirectory, SessionRow,
-};
+use blastema_contract::session::{DirectoryReport, ReadSessions, SendToDirectory, SessionRow};
 use blastema_contract::strategy::{IsolateNode, Reroute};
 use blastema_contract::transport::{MediumAddress, ReadCounters, Transport, TransportCounters};
 use blastema_core::net::LinkId;
@@ -177,25 +175,6 @@ impl NetEnvironment {
     }
 }
 
-/// Why a network cannot be started.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub(crate) enum NetError {
-    /// Two networks, or two links of one, have one name.
-    #[error("two links are called {name}: give one of them another name")]
-    LinkNameTaken {
-        /// The name.
-        name: String,
-    },
-    /// Two links of one network lead to one address.
-    #[error("two links of network {network} lead to {remote}: leave one of them out")]
-    RemoteTaken {
-        /// The network.
-        network: String,
-        /// The address.
-        remote: String,
-    },
-}
-
 /// A started network. Clones are the same network.
 #[derive(Clone)]
 pub(crate) struct NetHandle {
@@ -208,22 +187,15 @@ pub(crate) struct NetHandle {
     registry: Registry,
     stubs: Arc<stub::PeerStubs>,
     deaths: DeathWatchService,
-    isolation: isolation::IsolationControl,
     carrier: Arc<carrier::CarrierMonitor>,
     own_name: OwnName,
     /// Ends with the last handle.
     _roster_watch: Option<Arc<RosterWatch>>,
 }
 
-/// Starts the network of a node, and connects the registry and the topics to it.
-///
-/// # Errors
-/// [`NetError`], before anything is started.
-pub(crate) fn start(
-    environment: NetEnvironment,
-    networks: Vec<NetworkSpec>,
-) -> Result<NetHandle, NetError> {
-    check(&networks)?;
+/// Starts the network of a node, and connects the registry and the topics to it. Each link has a name
+/// and a remote address of its own.
+pub(crate) fn start(environment: NetEnvironment, networks: Vec<NetworkSpec>) -> NetHandle {
     platform::keep_freed_memory();
     let NetEnvironment { node, incarnation, guardian, arbiter, .. } = environment.clone();
     let on_arbiter = arbiter.as_ref();
@@ -244,11 +216,6 @@ pub(crate) fn start(
         // It is set once, here.
         let _ = directory.network.set(stack.clone().recipient());
     }
-    let isolation = isolation::IsolationControl {
-        stubs: stubs.clone(),
-        stack: stack.clone().recipient(),
-        monitor: environment.nodes.clone(),
-    };
     let remote: Arc<dyn StubFactory> = stubs.clone();
     environment.registry.connect(remote);
 
@@ -257,7 +224,8 @@ pub(crate) fn start(
     let media = media.collect();
     if let Some(keys) = &keys {
         let networks = networks.iter().map(|spec| (spec.name.to_string(), spec.seal.is_some()));
-        let orders = operator::IsolationOrders::new(node.clone(), isolation.clone());
+        let orders =
+            operator::IsolationOrders::new(node.clone(), stubs.clone(), stack.clone().recipient());
         operator::serve(&environment.registry, keys, networks.collect(), orders);
     }
     let networks = networks.into_iter().zip(numbers).map(|(spec, numbers)| {
@@ -306,7 +274,7 @@ pub(crate) fn start(
         watch
     });
     let carrier = Arc::new(carrier::CarrierMonitor::start(watched));
-    Ok(NetHandle {
+    NetHandle {
         stack,
         networks,
         media,
@@ -315,11 +283,10 @@ pub(crate) fn start(
         registry: environment.registry,
         stubs,
         deaths,
-        isolation,
         carrier,
         own_name,
         _roster_watch: roster_watch,
-    })
+    }
 }
 
 /// The numbers of the links of one network.
@@ -345,23 +312,6 @@ fn number(networks: &[NetworkSpec]) -> Vec<LinkNumbers> {
         dial_in: take(if seal.is_some() { links::DIALED_IN_MAX } else { 0 }),
     });
     numbers.collect()
-}
-
-fn check(networks: &[NetworkSpec]) -> Result<(), NetError> {
-    let mut names = SortedSet::new();
-    for NetworkSpec { name: network, links, .. } in networks {
-        let mut remotes = SortedSet::new();
-        for LinkSpec { name, remote, .. } in links {
-            if !names.insert((network, name)) {
-                return Err(NetError::LinkNameTaken { name: name.to_string() });
-            }
-            if !remotes.insert(remote) {
-                let (network, remote) = (network.to_string(), remote.to_string());
-                return Err(NetError::RemoteTaken { network, remote });
-            }
-        }
-    }
-    Ok(())
 }
 
 /// The name under which the guardian reports one of the network's own actors.
@@ -446,7 +396,9 @@ impl NetHandle {
 
     /// Isolates another node, or admits it again.
     pub(crate) fn decide(&self, decision: IsolateNode) {
-        self.isolation.decide(decision);
+        // What is sent from here on is refused at once.
+        self.stubs.send_state(&decision.node).set_isolated(decision.isolated);
+        self.stack.do_send(decision);
     }
 
     /// Takes the decisions of recovery strategies about other nodes.
@@ -500,7 +452,7 @@ impl NetHandle {
 
     /// The start of this node is over: peers learn that they are connected with it.
     pub(crate) fn announce(&self) {
-        self.stack.do_send(gateway_messages::StartCompleted);
+        self.stack.do_send(LocalInput::Started);
     }
 
     /// This node begins to end in order: its objects are not started again.
@@ -519,6 +471,6 @@ impl NetHandle {
     pub(crate) fn leave(&self) {
         // What is accepted after that would go nowhere.
         self.stubs.end();
-        self.stack.do_send(CloseSessions);
+        self.stack.do_send(LocalInput::Ending);
     }
 }

@@ -11,7 +11,6 @@ use crate::platform;
 use crate::platform::key_files::FileStamp;
 use crate::platform::replace_file::replace_file;
 use actix::prelude::*;
-use blastema_core::sorted::SortedSet;
 use blastema_core::{FaultKind, NodeName};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -53,8 +52,7 @@ impl RosterWatch {
     ) -> RosterWatch {
         let (offers, offered) = sync_channel(OFFERS_MAX);
         // The file may have been replaced since the node has read it.
-        let refused_of = SortedSet::new();
-        let file = RosterFile { stamp: None, keys, refused: None, refused_of, faults };
+        let file = RosterFile { stamp: None, keys, refused: None, faults };
         // Without the thread, a new roster counts when the node starts again.
         if let Err(error) =
             platform::start_thread("roster", move || watch(file, &offered, &announce, &told))
@@ -107,8 +105,6 @@ struct RosterFile {
     stamp: Option<FileStamp>,
     /// Why a roster was refused, as it was logged.
     refused: Option<String>,
-    /// Nodes of which a roster was refused and logged since the last that was taken.
-    refused_of: SortedSet<NodeName>,
     faults: FaultReporter,
 }
 
@@ -135,12 +131,6 @@ impl RosterFile {
             Ok(None) => return None,
             newer => newer,
         };
-        if newer.is_err() && self.refused_of.contains(from) {
-            return None;
-        }
-        if newer.is_err() {
-            self.refused_of.insert(from.clone());
-        }
         // What the robot has not signed says nothing of this node.
         let keys = self.adopt(newer, |kind| kind == RefusalKind::Unusable)?;
         let path = keys.roster_path();
@@ -170,7 +160,6 @@ impl RosterFile {
                 info!(robot = %keys.robot(), serial = keys.serial(), "a newer roster");
                 self.keys = Arc::new(keys);
                 self.refused = None;
-                self.refused_of.clear();
                 Some(self.keys.clone())
             }
             Ok(None) => {
@@ -203,8 +192,7 @@ mod tests {
         let keys = Arc::new(written(folder.path()));
         let path = keys.roster_path().to_owned();
         let faults = FaultReporter::of("roster", None, None);
-        let refused_of = SortedSet::new();
-        let mut file = RosterFile { keys, stamp: None, refused: None, refused_of, faults };
+        let mut file = RosterFile { keys, stamp: None, refused: None, faults };
         assert!(file.look().is_none() && file.refused.is_none(), "it is the one that is known");
 
         for _ in 0..2 {

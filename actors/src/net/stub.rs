@@ -106,12 +106,10 @@ impl PeerSendState {
         self.changed.notify_waiters();
     }
 
-    /// Sets whether nothing is sent there and nothing accepted from there, and returns whether that
-    /// is a change.
-    pub(super) fn set_isolated(&self, isolated: bool) -> bool {
-        let is_change = self.isolated.swap(isolated, Relaxed) != isolated;
+    /// Sets whether nothing is sent there and nothing accepted from there.
+    pub(super) fn set_isolated(&self, isolated: bool) {
+        self.isolated.store(isolated, Relaxed);
         self.changed.notify_waiters();
-        is_change
     }
 
     pub(super) fn is_isolated(&self) -> bool {
@@ -324,6 +322,10 @@ impl StubFactory for PeerStubs {
         let (messages, requests) =
             (send_state.credits.sender(class), send_state.credits.caller(class));
         Arc::new(PeerStub { to, contract, send_state, messages, requests, gateway })
+    }
+
+    fn is_reachable(&self, node: &NodeName) -> bool {
+        self.send_state(node).path.load(Relaxed)
     }
 }
 

@@ -207,7 +207,7 @@ impl Robot {
             directory: None,
             keys: None,
         };
-        let net = start(environment, specs).unwrap();
+        let net = start(environment, specs);
         net.announce();
         let log = Log::default();
         let mut module =

@@ -12,7 +12,8 @@ use crate::registry::ReplyTo;
 use blastema_core::contract::codec;
 use blastema_core::directory::Holder;
 use blastema_core::{
-    Contract, ContractIdentity, DeliveryError, GatherBuffer, MessageId, ObjectAddress, ObjectName,
+    Contract, ContractIdentity, DeliveryError, GatherBuffer, MessageId, NodeName, ObjectAddress,
+    ObjectName,
 };
 use std::future::Future;
 use std::marker::PhantomData;
@@ -36,6 +37,9 @@ pub(crate) struct OutgoingRequest {
 pub(crate) trait StubFactory: Send + Sync {
     /// A way to this object for this contract. What stands in its way is found when it is used.
     fn stub(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub>;
+
+    /// Whether a path leads to the node now: a session outlives its paths.
+    fn is_reachable(&self, node: &NodeName) -> bool;
 }
 
 /// The way to one object of another node, for one contract.
@@ -95,6 +99,12 @@ impl Registry {
     /// Names of objects of other nodes lead there.
     pub(crate) fn connect(&self, stubs: Arc<dyn StubFactory>) {
         self.lock().remote.stubs = Some(stubs);
+    }
+
+    /// Whether a path leads to another node now.
+    pub(crate) fn is_reachable(&self, node: &NodeName) -> bool {
+        let stubs = self.lock().remote.stubs.clone();
+        stubs.is_some_and(|stubs| stubs.is_reachable(node))
     }
 
     /// Names of the whole robot, such as `*:map`, are looked up there.

@@ -7,11 +7,6 @@ use blastema_core::net::trust::access::AccessPolicy;
 use blastema_core::{Incarnation, NodeName};
 use bytes::Bytes;
 
-/// This node ends in order: what was sent is to be delivered, then every session ends.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
-#[rtype(result = "()")]
-pub struct CloseSessions;
-
 /// Asks for all sessions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "Vec<SessionRow>")]

@@ -21,6 +21,10 @@ impl StubFactory for Mirror {
     fn stub(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub> {
         Arc::new(MirrorDoor(self.0.skeleton(&to.object, contract.name).unwrap().1))
     }
+
+    fn is_reachable(&self, _: &NodeName) -> bool {
+        true
+    }
 }
 impl RemoteStub for MirrorDoor {
     fn send(
@@ -74,6 +78,10 @@ struct Narrow {
 impl StubFactory for Narrow {
     fn stub(&self, _: ObjectAddress, _: ContractIdentity) -> Arc<dyn RemoteStub> {
         Arc::new(self.clone())
+    }
+
+    fn is_reachable(&self, _: &NodeName) -> bool {
+        true
     }
 }
 impl RemoteStub for Narrow {

@@ -4,6 +4,7 @@ use super::LinksActor;
 use crate::net::LinkSpec;
 use crate::net::keys::NodeKeys;
 use crate::platform;
+use crate::runtime::driver::MachineActor;
 use actix::prelude::*;
 use blastema_contract::link::LinkChanged;
 use blastema_contract::transport::{
@@ -253,7 +254,7 @@ impl LinksActor {
         if self.bundle.link_at(&remote).is_some() {
             return;
         }
-        let network = &self.wiring.network;
+        let network = self.wiring.network.clone();
         info!(%network, %node, %remote, "a neighbour is learned of");
         let spec = LinkSpec {
             name: format!("{network}/{node}").into(),

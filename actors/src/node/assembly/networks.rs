@@ -235,8 +235,7 @@ fn make_networks(
     enrolments.push(middleware(named("net/directory"), Some(directory.pings)));
     let directory = Some(DirectoryLine { reports: directory.reports, network });
     let net_environment = NetEnvironment { directory, ..net_environment };
-    let handle = net::start(net_environment, specs)
-        .map_err(|error| StartError::Network(error.to_string()))?;
+    let handle = net::start(net_environment, specs);
     chain.controller.do_send(SubscribeSafeState(handle.safe_states()));
     let own = handle.pings().into_iter();
     enrolments.extend(own.map(|(name, pings)| middleware(name, Some(pings))));

@@ -11,6 +11,7 @@ use crate::settings::network::HELLO_INTERVAL;
 use actix::prelude::*;
 use blastema_contract::transport::{MediumAddress, Transport};
 use blastema_core::net::discovery::DiscoveryAdmission;
+use blastema_core::sorted::SortedSet;
 use blastema_core::{NodeName, ObjectName};
 #[cfg(feature = "unix")]
 use blastema_transports::Unix;
@@ -178,14 +179,22 @@ impl Network {
     }
 
     pub(super) fn link_specs(&self) -> Result<Vec<LinkSpec>, StartError> {
+        let mut remotes = SortedSet::new();
         let spec = |link: &Link| {
             let of = format!("the name of a neighbour on network {}", self.name);
             let neighbour = NodeName::new(&link.neighbour).map_err(StartError::name_of(of))?;
             let [hello_interval, expected_within] = link.times();
             let remote = self.medium.remote(&link.settings.address);
+            let remote = remote.map_err(|error| self.endpoint_error(Some(&neighbour), error))?;
+            if !remotes.insert(remote.clone()) {
+                return Err(StartError::Network(format!(
+                    "two links of network {} lead to {remote}: leave one of them out",
+                    self.name
+                )));
+            }
             Ok(LinkSpec {
                 name: self.link_name(link).into(),
-                remote: remote.map_err(|error| self.endpoint_error(Some(&neighbour), error))?,
+                remote,
                 neighbour: Some(neighbour),
                 cost: link.settings.cost,
                 hello_interval,
