@@ -115,16 +115,6 @@ impl ContractPort {
         }
     }
 
-    /// A contract that only other nodes use.
-    pub(crate) fn of_skeleton<M: Contract>(skeleton: Arc<dyn Skeleton>) -> Self {
-        ContractPort {
-            identity: ContractIdentity::of::<M>(),
-            named: type_name::<M>(),
-            sender: Box::new(()),
-            skeleton,
-        }
-    }
-
     /// The way from outside.
     pub(crate) fn into_skeleton(self) -> Arc<dyn Skeleton> {
         self.skeleton

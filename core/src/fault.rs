@@ -221,7 +221,7 @@ impl fmt::Display for FaultId {
 }
 
 /// A fault that was found: what, where, since when, and how often since.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Fault {
     /// Its number in the finder's record.
     pub id: FaultId,
@@ -236,7 +236,9 @@ pub struct Fault {
     /// The particulars: a panic's text and source line, a check's value and limit. Of one that was
     /// found again while it stood, those of the last time.
     pub detail: String,
-    /// When it was found, on the finder's clock.
+    /// When it was found, on the finder's clock. It is no good on another one: its encoding is
+    /// without it.
+    #[serde(skip)]
     pub found_at: Instant,
     /// The fault further up that this one is a consequence of.
     pub symptom_of: Option<FaultId>,

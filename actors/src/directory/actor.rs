@@ -1,9 +1,7 @@
 //! The actor of the directory.
 
 use crate::directory::{ClaimCommand, ClaimState, DirectoryTable};
-use crate::net::RosterChanged;
 use crate::net::fault_reporter::FaultReporter;
-use crate::net::peer_messages::{ActorMessageReceived, PeerChannel};
 use crate::platform;
 use crate::registry::Registry;
 use crate::runtime::driver::{MachineActor, WakeTimer};
@@ -12,23 +10,24 @@ use crate::topic::{TopicKey, Topics};
 use actix::prelude::*;
 use blastema_contract::reports::{AreYouAlive, DeclaredFaultCleared, FaultDeclared};
 use blastema_contract::router::InjectPanic;
-use blastema_contract::session::PeerStatusChanged;
+use blastema_contract::session::{DirectoryReport, SendToDirectory};
 use blastema_core::directory::{
-    ClaimRefused, ClaimRequest, Directory, DirectoryConfig, DirectoryKey, DirectoryOutput, Holder,
+    ClaimRefused, ClaimRequest, Directory, DirectoryConfig, DirectoryKey, DirectoryOutput,
     NameHeld, UnmetClaims,
 };
+use blastema_core::net::Refusals;
 use blastema_core::net::refusal_alarms::RefusalAlarms;
-use blastema_core::net::{NodeId, Refusals};
+use blastema_core::net::trust::access::AccessPolicy;
 use blastema_core::sorted::SortedMap;
 use blastema_core::{FaultKind, Incarnation, NodeName, ObjectName};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::watch;
 use tracing::{error, info, warn};
 
-/// How long a name is kept for a node that is not heard of any more. It is heard of four times as
-/// often, which costs some 60 bytes each; and every four seconds where it claims nothing.
-const CLAIM_LEASE: Duration = Duration::from_secs(1);
+/// How long a name is kept for a node that no path leads to any more. With the usual hellos that is
+/// found within 200 ms, so that the name is free a second after the node has died.
+const CLAIM_LEASE: Duration = Duration::from_millis(800);
 /// How often it is looked for objects and publishers of this node that came or went.
 const OWN_INTERVAL: Duration = Duration::from_millis(200);
 /// How often it is looked at what was refused.
@@ -43,6 +42,8 @@ pub(crate) struct DirectorySetup {
     pub(crate) settle: Duration,
     /// Nodes after whose word that is over.
     pub(crate) expected: Vec<NodeName>,
+    /// The network, once it is started; a node without one has no other to talk to.
+    pub(crate) network: Arc<OnceLock<Recipient<SendToDirectory>>>,
     pub(crate) registry: Registry,
     pub(crate) topics: Topics,
     pub(crate) names: DirectoryTable,
@@ -60,14 +61,10 @@ struct Own {
 
 pub(crate) struct DirectoryActor {
     setup: DirectorySetup,
-    machine: Directory,
     wake: WakeTimer,
-    channel: PeerChannel,
     own: SortedMap<ObjectName, Own>,
     /// Claims of components that the roster refuses: made again when there is another.
     forbidden: SortedMap<ObjectName, Own>,
-    /// Nodes that a session is open with.
-    peers: SortedMap<NodeId, (NodeName, Incarnation)>,
     complaints: RefusalAlarms<NodeName>,
     faults: FaultReporter,
     /// Who goes without a name, and what was said of that last.
@@ -81,8 +78,7 @@ pub(crate) struct DirectoryActor {
 
 /// Where a [`DirectoryActor`] receives its messages.
 pub(crate) struct DirectoryRecipients {
-    pub(crate) peers: Recipient<PeerStatusChanged>,
-    pub(crate) rosters: Recipient<RosterChanged>,
+    pub(crate) reports: Recipient<DirectoryReport>,
     pub(crate) pings: Recipient<AreYouAlive>,
     #[cfg(test)]
     panic: Recipient<InjectPanic>,
@@ -96,32 +92,29 @@ impl DirectoryActor {
         arbiter: Option<&ArbiterHandle>,
     ) -> DirectoryRecipients {
         let names = setup.names.clone();
+        let mut machine = Directory::new(config(&setup), platform::now());
+        if let Some(policy) = setup.registry.access().policy() {
+            machine.handle_access((*policy).clone(), platform::now());
+        }
         setup.registry.set_name_resolver(Arc::new(names.clone()));
-        let make = move |context: &mut Context<Self>| {
-            let reader = context.address().recipient();
-            DirectoryActor {
-                machine: Directory::new(config(&setup), platform::now()),
-                wake: WakeTimer::default(),
-                channel: PeerChannel::at(crate::net::named("directory"), &setup.registry, reader),
-                own: SortedMap::new(),
-                forbidden: SortedMap::new(),
-                peers: SortedMap::new(),
-                complaints: RefusalAlarms::default(),
-                faults: FaultReporter::of("directory", setup.faults.clone(), setup.cleared.clone()),
-                without: UnmetClaims::default(),
-                reported_conflict: None,
-                revisions: None,
-                untold: 0,
-                setup,
-            }
+        let make = move |_: &mut Context<Self>| DirectoryActor {
+            wake: WakeTimer::default(),
+            own: SortedMap::new(),
+            forbidden: SortedMap::new(),
+            complaints: RefusalAlarms::default(),
+            faults: FaultReporter::of("directory", setup.faults.clone(), setup.cleared.clone()),
+            without: UnmetClaims::default(),
+            reported_conflict: None,
+            revisions: None,
+            untold: 0,
+            setup,
         };
         let actor = guardian.start(crate::net::named("directory"), arbiter, make);
-        names.lead_to(actor.clone().recipient());
+        names.begin(machine, actor.clone().recipient());
         DirectoryRecipients {
             #[cfg(test)]
             panic: actor.clone().recipient(),
-            peers: actor.clone().recipient(),
-            rosters: actor.clone().recipient(),
+            reports: actor.clone().recipient(),
             pings: actor.recipient(),
         }
     }
@@ -140,15 +133,6 @@ impl DirectoryActor {
     fn end(&mut self, name: &ObjectName, state: ClaimState) {
         self.tell(name, state);
         self.own.remove(name);
-    }
-
-    fn incarnation_of(&self, node: &NodeName) -> Incarnation {
-        if *node == self.setup.node {
-            return self.setup.incarnation;
-        }
-        self.peers
-            .get(&NodeId::of(node))
-            .map_or(Incarnation::default(), |(_, incarnation)| *incarnation)
     }
 
     /// As it is now.
@@ -176,7 +160,8 @@ impl DirectoryActor {
         warn!(%name, "a claim is refused: {refused}");
         if let Some(own) = self.own.get(name).filter(|own| own.unattended) {
             let object = own.wanted.object.clone();
-            self.without.handle_refused((name.clone(), own.number), object, &refused);
+            let claim = (name.clone(), own.number);
+            self.without.handle_refused(claim, object, refused.to_string());
             self.say_who_goes_without();
         }
         let is_forbidden = matches!(refused, ClaimRefused::Forbidden { .. });
@@ -195,7 +180,9 @@ impl DirectoryActor {
     fn claim(&mut self, own: Own) {
         let (name, wanted) = (own.wanted.name.clone(), own.wanted.clone());
         self.own.insert(name.clone(), own);
-        if let Err(refused) = self.machine.handle_claim(wanted, platform::now()) {
+        let now = platform::now();
+        let claimed = self.setup.names.change(|machine| machine.handle_claim(wanted, now));
+        if let Err(refused) = claimed {
             self.refused(&name, refused);
         }
     }
@@ -211,17 +198,32 @@ impl DirectoryActor {
         let publishers = topics.published().into_iter().map(|TopicKey { topic, contract }| {
             DirectoryKey::Publisher { topic, contract: contract.to_string() }
         });
-        let untold = self.machine.handle_present(objects.chain(publishers).collect());
+        let present = objects.chain(publishers).collect();
+        let untold = self.setup.names.change(|machine| machine.handle_present(present));
         if untold > self.untold {
             warn!(untold, "other nodes are not told of objects and publishers: there are too many");
         }
         self.untold = untold;
     }
 
+    /// The policy of the robot is another: what it had forbidden is claimed again.
+    fn take_policy(&mut self, policy: AccessPolicy, context: &mut Context<Self>) {
+        self.setup.names.change(|machine| machine.handle_access(policy, platform::now()));
+        self.drive(context);
+        for (name, own) in std::mem::take(&mut self.forbidden) {
+            match self.own.contains_key(&name) {
+                // Another component has it by now.
+                true => drop(self.forbidden.insert(name, own)),
+                false => self.claim(own),
+            }
+        }
+    }
+
     /// Raises an alarm for a node whose messages are refused for seconds.
     fn look_at_refusals(&mut self) {
-        let looks: Vec<(NodeName, Refusals)> =
-            self.machine.refusals().map(|(node, refusals)| (node.clone(), refusals)).collect();
+        let looks: Vec<(NodeName, Refusals)> = self.setup.names.read(|machine| {
+            machine.refusals().map(|(node, refusals)| (node.clone(), refusals)).collect()
+        });
         for (node, refusals) in looks {
             if let Some(since) = self.complaints.handle_look(node.clone(), refusals) {
                 let detail =
@@ -248,9 +250,6 @@ impl Actor for DirectoryActor {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
-        if let Some(policy) = self.setup.registry.access().policy() {
-            self.machine.handle_access((*policy).clone(), platform::now());
-        }
         context.run_interval(REFUSAL_CHECK_INTERVAL, |actor, _| actor.look_at_refusals());
         context.run_interval(OWN_INTERVAL, |actor, context| {
             actor.look_at_own();
@@ -262,38 +261,29 @@ impl Actor for DirectoryActor {
 }
 
 impl Supervised for DirectoryActor {
-    /// What is claimed here stays so; what others claim, they are asked for.
+    /// What is claimed here, and what others have told, stays so.
     fn restarting(&mut self, context: &mut Context<Self>) {
-        let (now, mut own) = (platform::now(), Vec::new());
-        for Own { wanted, state_sender, .. } in self.own.values() {
-            let epoch = match *state_sender.borrow() {
-                ClaimState::Held { epoch } => Some(epoch),
-                _ => None,
-            };
-            own.push((wanted.clone(), epoch));
-        }
-        self.setup.names.forget_all();
-        self.machine = Directory::restarted(config(&self.setup), own, now);
+        self.setup.names.rebuild();
         self.revisions = None;
-        self.look_at_own();
-        for (node, incarnation) in self.peers.values() {
-            self.machine.handle_opened(node.clone(), *incarnation, now);
-        }
         self.wake = WakeTimer::default();
         self.started(context);
     }
 }
 
 impl MachineActor for DirectoryActor {
-    type Machine = Directory;
+    type Machine = DirectoryTable;
 
-    fn driven(&mut self) -> (&mut Directory, &mut WakeTimer) {
-        (&mut self.machine, &mut self.wake)
+    fn driven(&mut self) -> (&mut DirectoryTable, &mut WakeTimer) {
+        (&mut self.setup.names, &mut self.wake)
     }
 
     fn carry_out(&mut self, output: DirectoryOutput, _: &mut Context<Self>) {
         match output {
-            DirectoryOutput::Send { to, message } => self.channel.send(&to, &message),
+            DirectoryOutput::Send { to: node, message } => {
+                if let Some(network) = self.setup.network.get() {
+                    network.do_send(SendToDirectory { node, message });
+                }
+            }
             DirectoryOutput::Granted { name, epoch } => {
                 info!(%name, epoch, "a name is ours");
                 self.tell(&name, ClaimState::Held { epoch });
@@ -324,17 +314,7 @@ impl MachineActor for DirectoryActor {
                     false => self.end(&name, ClaimState::Lost { to, epoch }),
                 }
             }
-            DirectoryOutput::RecordAdded { node, key } => self.setup.names.add(node, key),
-            DirectoryOutput::RecordRemoved { node, key } => self.setup.names.remove(&node, &key),
-            DirectoryOutput::Held { name, holder } => {
-                self.without.handle_holder(&name, holder.as_ref());
-                self.say_who_goes_without();
-                let with_incarnation = |holder: Holder| {
-                    let incarnation = self.incarnation_of(&holder.node);
-                    (holder, incarnation)
-                };
-                self.setup.names.note(name, holder.map(with_incarnation));
-            }
+            DirectoryOutput::Held { .. } => self.setup.names.holder_changed(),
         }
     }
 }
@@ -352,11 +332,19 @@ impl Handler<ClaimCommand> for DirectoryActor {
                     Some(Own { wanted: own, .. }) => {
                         let other = own.object.clone();
                         let holder = self.setup.node.clone();
-                        let epoch = self.machine.holder(&name).map_or(0, |held| held.epoch);
+                        let epoch = self
+                            .setup
+                            .names
+                            .read(|machine| machine.holder(&name))
+                            .map_or(0, |held| held.epoch);
                         let held = NameHeld { name, holder, epoch };
                         if unattended {
                             let claim = (held.name.clone(), number);
-                            self.without.handle_doubled(claim, wanted.object, &other);
+                            let why = format!(
+                                "{other} of this node claims it too: one of the two is to take \
+                                 another name"
+                            );
+                            self.without.handle_refused(claim, wanted.object, why);
                             self.say_who_goes_without();
                         }
                         state_sender.send_replace(ClaimState::Refused(held.into()));
@@ -371,7 +359,8 @@ impl Handler<ClaimCommand> for DirectoryActor {
                 self.forget_forbidden(&name, number);
                 if self.own.get(&name).is_some_and(|own| own.number == number) {
                     self.own.remove(&name);
-                    self.machine.handle_withdrawn(&name);
+                    let now = platform::now();
+                    self.setup.names.change(|machine| machine.handle_withdrawn(&name, now));
                 }
                 // Also of one that was refused, and goes without.
                 self.has_its_name(&name, number);
@@ -381,58 +370,31 @@ impl Handler<ClaimCommand> for DirectoryActor {
     }
 }
 
-impl Handler<PeerStatusChanged> for DirectoryActor {
+impl Handler<DirectoryReport> for DirectoryActor {
     type Result = ();
 
-    fn handle(&mut self, seen: PeerStatusChanged, context: &mut Context<Self>) {
-        let now = platform::now();
-        match seen {
-            PeerStatusChanged::Opened { node, incarnation } => {
-                self.peers.insert(NodeId::of(&node), (node.clone(), incarnation));
-                self.setup.names.note_opened(node.clone(), incarnation);
+    fn handle(&mut self, report: DirectoryReport, context: &mut Context<Self>) {
+        let (now, names) = (platform::now(), self.setup.names.clone());
+        match report {
+            DirectoryReport::Opened { node, incarnation } => {
                 self.look_at_own();
-                self.machine.handle_opened(node, incarnation, now);
+                names.change(|machine| machine.handle_opened(node, incarnation, now));
             }
-            PeerStatusChanged::Ended { node } => {
-                self.peers.remove(&NodeId::of(&node));
-                self.setup.names.note_ended(&node);
-                self.machine.handle_ended(&node);
+            DirectoryReport::Unreachable { node } => {
+                names.change(|machine| machine.handle_unreachable(&node, now));
             }
-            PeerStatusChanged::Left { node } => {
-                self.setup.names.note_ended(&node);
-                self.machine.handle_left(&node, now);
+            DirectoryReport::Ended { node } => {
+                names.change(|machine| machine.handle_ended(&node, now));
             }
+            DirectoryReport::Left { node } => {
+                names.change(|machine| machine.handle_left(&node, now));
+            }
+            DirectoryReport::Said { node, message } => {
+                names.change(|machine| machine.handle_message(&node, &message, now));
+            }
+            DirectoryReport::Policy(policy) => self.take_policy(*policy, context),
         }
         self.drive(context);
-    }
-}
-
-impl Handler<RosterChanged> for DirectoryActor {
-    type Result = ();
-
-    fn handle(&mut self, message: RosterChanged, context: &mut Context<Self>) {
-        self.machine.handle_access(message.0.access_policy(), platform::now());
-        self.drive(context);
-        for (name, own) in std::mem::take(&mut self.forbidden) {
-            match self.own.contains_key(&name) {
-                // Another component has it by now.
-                true => drop(self.forbidden.insert(name, own)),
-                false => self.claim(own),
-            }
-        }
-        self.drive(context);
-    }
-}
-
-impl Handler<ActorMessageReceived> for DirectoryActor {
-    type Result = ();
-
-    fn handle(&mut self, letter: ActorMessageReceived, context: &mut Context<Self>) {
-        self.channel.read_one();
-        if let Some((node, _)) = self.peers.get(&letter.from) {
-            self.machine.handle_message(node, &letter.bytes, platform::now());
-            self.drive(context);
-        }
     }
 }
 
@@ -464,6 +426,7 @@ mod tests {
             incarnation: Incarnation(1),
             settle: Duration::ZERO,
             expected: Vec::new(),
+            network: Arc::default(),
             registry: Registry::default(),
             topics: Topics::new(DeadLetterLog::default(), FaultReports::default()),
             names: names.clone(),

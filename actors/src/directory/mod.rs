@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!  Claim ── ClaimCommand ──► DirectoryActor ◄── messages ──► those of other nodes
-//!                              │ Held, RecordAdded, RecordRemoved
+//!                              │ drives
 //!                              ▼
 //!  CurrentSender    ── who? ── DirectoryTable    `*:map` is sent to the holder of `map`
 //!  services, rows ─── where? ─┘

@@ -4,9 +4,8 @@ use super::{ClaimRow, ClaimState, NodeRow};
 use crate::platform::{self, lock};
 use crate::registry::remote::NameResolver;
 use actix::{Message, Recipient};
-use blastema_core::directory::{ClaimRequest, DirectoryKey, Holder};
-use blastema_core::sorted::{SortedMap, SortedSet};
-use blastema_core::{Incarnation, Instant, NodeName, ObjectAddress, ObjectName};
+use blastema_core::directory::{ClaimRequest, Directory, DirectoryKey, DirectoryOutput, Holder};
+use blastema_core::{Instant, Machine, NodeName, ObjectAddress, ObjectName};
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex, OnceLock};
@@ -30,28 +29,9 @@ pub(crate) enum ClaimCommand {
     Withdraw { name: ObjectName, number: u64 },
 }
 
-/// Who holds a name, as this node knows it.
-#[derive(Clone, Debug)]
-struct HolderRecord {
-    holder: Holder,
-    incarnation: Incarnation,
-    since: Instant,
-}
-
-/// Another node, and what it has.
-#[derive(Clone, Debug, Default)]
-struct NodeEntry {
-    incarnation: Incarnation,
-    /// A session with it is open.
-    open: bool,
-    /// Its objects and publishers: as many as the machine takes.
-    records: SortedSet<DirectoryKey>,
-}
-
 struct Inner {
-    /// As many as the machine takes.
-    known: Mutex<SortedMap<ObjectName, HolderRecord>>,
-    nodes: Mutex<SortedMap<NodeName, NodeEntry>>,
+    /// That of the actor, which alone changes it; `None` until the actor has started.
+    machine: Mutex<Option<Directory>>,
     revision: watch::Sender<u64>,
     actor: OnceLock<Recipient<ClaimCommand>>,
     next: AtomicU64,
@@ -64,14 +44,14 @@ pub(crate) struct DirectoryTable(Arc<Inner>);
 impl Default for DirectoryTable {
     fn default() -> Self {
         let (revision, _) = watch::channel(0);
-        let (known, nodes, actor) = Default::default();
-        DirectoryTable(Arc::new(Inner { known, nodes, revision, actor, next: AtomicU64::new(1) }))
+        let (machine, actor) = Default::default();
+        DirectoryTable(Arc::new(Inner { machine, revision, actor, next: AtomicU64::new(1) }))
     }
 }
 
 impl NameResolver for DirectoryTable {
     fn holder(&self, name: &ObjectName) -> Option<Holder> {
-        lock(&self.0.known).get(name).map(|known| known.holder.clone())
+        self.read(|directory| directory.holder(name))
     }
 
     fn revision(&self) -> watch::Receiver<u64> {
@@ -79,101 +59,85 @@ impl NameResolver for DirectoryTable {
     }
 }
 
+/// The machine, as its actor drives it.
+impl Machine for DirectoryTable {
+    type Output = DirectoryOutput;
+
+    fn poll_output(&mut self) -> Option<DirectoryOutput> {
+        self.change(Directory::poll_output)
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        self.read(Directory::poll_timeout)
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        self.change(|directory| directory.handle_timeout(now));
+    }
+}
+
 impl DirectoryTable {
-    /// A session with this node has begun.
-    pub(crate) fn note_opened(&self, node: NodeName, incarnation: Incarnation) {
-        let mut nodes = lock(&self.0.nodes);
-        let entry = nodes.entry(node).or_default();
-        (entry.incarnation, entry.open) = (incarnation, true);
-    }
-
-    /// The session with this node has ended.
-    pub(crate) fn note_ended(&self, node: &NodeName) {
-        self.change(node, |entry| entry.open = false);
-    }
-
-    /// This node has an object, or a publisher.
-    pub(crate) fn add(&self, node: NodeName, key: DirectoryKey) {
-        lock(&self.0.nodes).entry(node).or_default().records.insert(key);
-    }
-
-    /// This node has it no more.
-    pub(crate) fn remove(&self, node: &NodeName, key: &DirectoryKey) {
-        self.change(node, |entry| {
-            entry.records.remove(key);
-        });
-    }
-
-    fn change(&self, node: &NodeName, change: impl FnOnce(&mut NodeEntry)) {
-        let mut nodes = lock(&self.0.nodes);
-        let Some(entry) = nodes.get_mut(node) else { return };
-        change(entry);
-        if !entry.open && entry.records.is_empty() {
-            nodes.remove(node);
-        }
-    }
-
-    /// The nodes with an open session that have this.
-    pub(crate) fn nodes_with(&self, key: &DirectoryKey) -> Vec<NodeName> {
-        let nodes = lock(&self.0.nodes);
-        let having = nodes.iter().filter(|(_, entry)| entry.open && entry.records.contains(key));
-        having.map(|(node, _)| node.clone()).collect()
-    }
-
-    /// Every node that a session is open with, and its objects.
-    pub(crate) fn node_rows(&self) -> Vec<NodeRow> {
-        let nodes = lock(&self.0.nodes);
-        let open = nodes.iter().filter(|(_, entry)| entry.open);
-        let row = |(node, entry): (&NodeName, &NodeEntry)| {
-            let objects = entry.records.iter().filter_map(|key| match key {
-                DirectoryKey::Object(object) => {
-                    Some(ObjectAddress::new(node.clone(), object.clone()))
-                }
-                DirectoryKey::Publisher { .. } | DirectoryKey::Name(_) => None,
-            });
-            let (incarnation, objects) = (entry.incarnation, objects.collect());
-            NodeRow { node: node.clone(), incarnation, objects }
-        };
-        open.map(row).collect()
-    }
-
-    /// Claims are made there from now on.
-    pub(crate) fn lead_to(&self, actor: Recipient<ClaimCommand>) {
+    /// The actor begins, with this machine, and takes claims.
+    pub(super) fn begin(&self, machine: Directory, actor: Recipient<ClaimCommand>) {
+        *lock(&self.0.machine) = Some(machine);
         // Called once, when the node starts.
         let _ = self.0.actor.set(actor);
     }
 
-    /// The actor knows of another holder, or of none any more.
-    pub(crate) fn note(&self, name: ObjectName, holder: Option<(Holder, Incarnation)>) {
-        match holder {
-            Some((holder, incarnation)) => {
-                let since = platform::now();
-                lock(&self.0.known).insert(name, HolderRecord { holder, incarnation, since });
-            }
-            None => drop(lock(&self.0.known).remove(&name)),
-        }
+    /// The machine has panicked: another is built of what it knew.
+    pub(super) fn rebuild(&self) {
+        let mut machine = lock(&self.0.machine);
+        *machine = machine.take().map(|lost| lost.rebuilt(platform::now()));
+    }
+
+    /// Asks the machine.
+    pub(super) fn read<T: Default>(&self, ask: impl FnOnce(&Directory) -> T) -> T {
+        lock(&self.0.machine).as_ref().map(ask).unwrap_or_default()
+    }
+
+    /// Feeds the machine.
+    pub(super) fn change<T>(&self, feed: impl FnOnce(&mut Directory) -> T) -> T {
+        feed(lock(&self.0.machine).as_mut().expect("its actor has started"))
+    }
+
+    /// Another object holds a name, or none any more.
+    pub(super) fn holder_changed(&self) {
         self.0.revision.send_modify(|revision| *revision += 1);
     }
 
-    /// The actor restarts, and is told again.
-    pub(crate) fn forget_all(&self) {
-        lock(&self.0.known).clear();
-        lock(&self.0.nodes).values_mut().for_each(|entry| entry.records.clear());
+    /// The nodes that can be reached and have this.
+    pub(crate) fn nodes_with(&self, key: &DirectoryKey) -> Vec<NodeName> {
+        self.read(|directory| directory.nodes_with(key))
     }
 
-    /// All of them.
+    /// Every node that can be reached, and its objects.
+    pub(crate) fn node_rows(&self) -> Vec<NodeRow> {
+        self.read(|directory| {
+            let rows = directory.nodes().map(|(node, incarnation, keys)| {
+                let objects = keys.filter_map(|key| match key {
+                    DirectoryKey::Object(object) => {
+                        Some(ObjectAddress::new(node.clone(), object.clone()))
+                    }
+                    DirectoryKey::Publisher { .. } | DirectoryKey::Name(_) => None,
+                });
+                NodeRow { node: node.clone(), incarnation, objects: objects.collect() }
+            });
+            rows.collect()
+        })
+    }
+
+    /// Every name that is held.
     pub(crate) fn rows(&self) -> Vec<ClaimRow> {
         let now = platform::now();
-        let row =
-            |(name, HolderRecord { holder, incarnation, since }): (&ObjectName, &HolderRecord)| {
-                ClaimRow {
-                    name: name.clone(),
-                    holder: holder.clone(),
-                    incarnation: *incarnation,
-                    age: now - *since,
-                }
-            };
-        lock(&self.0.known).iter().map(row).collect()
+        self.read(|directory| {
+            let rows = directory.holders().map(|(name, holder, since)| ClaimRow {
+                name: name.clone(),
+                holder: holder.clone(),
+                incarnation: directory.incarnation_of(&holder.node),
+                age: now - since,
+            });
+            rows.collect()
+        })
     }
 
     /// The number of one more claim.

@@ -13,12 +13,8 @@ use blastema_contract::recoverer::Recover;
 use blastema_core::contract::codec;
 use blastema_core::contract::codec::DecodeError;
 use blastema_core::net::NodeId;
-use blastema_core::{
-    DeliveryError, Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant, NodeName,
-    ObjectName, Severity,
-};
+use blastema_core::{DeliveryError, Fault, FaultLocation, Instant, NodeName, ObjectName};
 use blastema_macros::Request;
-use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use std::time::Duration;
 use tracing::warn;
@@ -29,47 +25,34 @@ const FAULT_MAX: usize = 16 * 1024;
 /// As long as the notifier tells a recoverer of one fault: a slow way confirms late.
 const CONFIRMED_WITHIN: Duration = Duration::from_secs(5);
 
-/// Asks a node to take a fault: an encoded [`Travelling`].
+/// Asks a node to take a fault.
 #[derive(Clone, Debug, Request)]
-#[contract(crate = "crate", name = "blastema/recover", version = 1, reply = ())]
+#[contract(crate = "crate", name = "blastema/recover", version = 2, reply = ())]
 struct ForwardFault {
+    /// An encoded [`Fault`].
     fault: Vec<u8>,
-}
-
-/// A fault as it travels. Instants are no good elsewhere: its age is.
-#[derive(Serialize, Deserialize)]
-struct Travelling {
-    id: FaultId,
-    kind: FaultKind,
-    severity: Severity,
-    location: FaultLocation,
-    incarnation: Incarnation,
-    detail: String,
+    /// How long ago it was found: instants are no good on another clock.
     age_us: u64,
-    symptom_of: Option<FaultId>,
-    count: u32,
 }
 
-fn encode(fault: Fault, now: Instant) -> Vec<u8> {
-    let Fault { id, kind, severity, location, incarnation, detail, found_at, symptom_of, count } =
-        fault;
-    let age_us = u64::try_from((now - found_at).as_micros()).unwrap_or(u64::MAX);
-    // Four bytes a message at most, and room for the rest.
-    let detail: String = detail.chars().take(FAULT_MAX / 8).collect();
-    let travelling =
-        Travelling { id, kind, severity, location, incarnation, detail, age_us, symptom_of, count };
+fn encode(fault: Fault, now: Instant) -> ForwardFault {
+    let age_us = u64::try_from((now - fault.found_at).as_micros()).unwrap_or(u64::MAX);
+    // Four bytes a letter at most, and room for the rest.
+    let detail = fault.detail.chars().take(FAULT_MAX / 8).collect();
     let mut bytes = Vec::new();
-    codec::encode_bounded(&travelling, FAULT_MAX, &mut bytes)
+    codec::encode_bounded(&Fault { detail, ..fault }, FAULT_MAX, &mut bytes)
         .expect("names and a shortened text fit into the limit");
-    bytes
+    ForwardFault { fault: bytes, age_us }
 }
 
-fn decode(bytes: &[u8], now: Instant) -> Result<Fault, DecodeError> {
-    let Travelling { id, kind, severity, location, incarnation, detail, age_us, symptom_of, count } =
-        codec::decode_bounded::<Travelling, FAULT_MAX>(bytes)?;
-    let age = Duration::from_micros(age_us);
+fn decode(
+    ForwardFault { fault, age_us }: &ForwardFault,
+    now: Instant,
+) -> Result<Fault, DecodeError> {
+    let fault = codec::decode_bounded::<Fault, FAULT_MAX>(fault)?;
+    let age = Duration::from_micros(*age_us);
     let found_at = Instant::ORIGIN + (now - Instant::ORIGIN).saturating_sub(age);
-    Ok(Fault { id, kind, severity, location, incarnation, detail, found_at, symptom_of, count })
+    Ok(Fault { found_at, ..fault })
 }
 
 /// Where a node takes the faults of others. It is no object that others can see.
@@ -80,29 +63,28 @@ fn object() -> ObjectName {
 /// Takes other nodes' faults for the recoverer of this one. The peer protocol checks the right when
 /// the contract is bound.
 pub(super) fn serve(registry: &Registry, recoverer: Recipient<Recover>) {
-    let take =
-        move |ForwardFault { fault }, from: MessageOrigin, answer: Responder<ForwardFault>| {
-            let fault = match decode(&fault, platform::now()) {
-                Ok(fault) => fault,
-                Err(error) => return warn!(?from, %error, "a fault that cannot be read"),
-            };
-            // A node's reports of its own objects and links count. Its reports of other nodes, or of
-            // this one, do not: each node judges those by its own links.
-            let theirs = match &fault.location {
-                FaultLocation::Object(address) => Some(&address.node),
-                FaultLocation::Link { node, .. } => Some(node),
-                FaultLocation::Node(_) => None,
-            };
-            if from.peer.is_none() || theirs.map(NodeId::of) != from.peer {
-                return answer.give(());
-            }
-            let taken = recoverer.send(Recover { fault });
-            actix_rt::spawn(async move {
-                if taken.await.is_ok() {
-                    answer.give(());
-                }
-            });
+    let take = move |fault: ForwardFault, from: MessageOrigin, answer: Responder<ForwardFault>| {
+        let fault = match decode(&fault, platform::now()) {
+            Ok(fault) => fault,
+            Err(error) => return warn!(?from, %error, "a fault that cannot be read"),
         };
+        // A node's reports of its own objects and links count. Its reports of other nodes, or of
+        // this one, do not: each node judges those by its own links.
+        let theirs = match &fault.location {
+            FaultLocation::Object(address) => Some(&address.node),
+            FaultLocation::Link { node, .. } => Some(node),
+            FaultLocation::Node(_) => None,
+        };
+        if from.peer.is_none() || theirs.map(NodeId::of) != from.peer {
+            return answer.give(());
+        }
+        let taken = recoverer.send(Recover { fault });
+        actix_rt::spawn(async move {
+            if taken.await.is_ok() {
+                answer.give(());
+            }
+        });
+    };
     let port = ContractPort::of_service_fn(ServiceFn::<ForwardFault>(Arc::new(take)));
     registry.register_hidden(object(), port);
 }
@@ -130,7 +112,7 @@ impl Handler<Recover> for RemoteRecoverer {
 
     fn handle(&mut self, message: Recover, _: &mut Context<Self>) -> ForwardedAnswer {
         let fault = encode(message.fault, platform::now());
-        ForwardedAnswer(self.registry.sender(&self.address), ForwardFault { fault })
+        ForwardedAnswer(self.registry.sender(&self.address), fault)
     }
 }
 
@@ -155,6 +137,7 @@ impl MessageResponse<RemoteRecoverer, Recover> for ForwardedAnswer {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use blastema_core::{FaultId, FaultKind, Incarnation, Severity};
 
     #[test]
     fn a_fault_keeps_its_age_on_another_nodes_clock() {

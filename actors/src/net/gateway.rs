@@ -3,26 +3,26 @@
 mod forbidden;
 mod inbound;
 mod inputs;
+mod local;
+mod node_state;
 mod peer;
 mod subscriptions;
 mod undelivered;
 
-pub(super) use inbound::CapacityAvailable;
-pub(super) use subscriptions::LocalEvent;
+pub(super) use local::LocalInput;
 
 use super::NetEnvironment;
 use super::fault_reporter::FaultReporter;
-use super::gateway_messages::{LocalReply, TopicInterestChanged};
+use super::roster_watch::RosterWatch;
 use super::sessions::{DiscardedSession, PeerSessions};
 use super::stub::{PeerCondition, PeerSendState, PeerStubs};
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::platform;
-use crate::registry::remote_watch::DeathWatchService;
 use crate::registry::{MessageMetadata, Registry, ReplyTo};
 use crate::topic::{TopicKey, Topics};
 use actix::prelude::*;
 use blastema_contract::monitor::NodeReported;
-use blastema_contract::session::PeerStatusChanged;
+use blastema_contract::session::DirectoryReport;
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::{
@@ -36,17 +36,9 @@ use bytes::Bytes;
 use forbidden::ForbiddenAlarm;
 use inbound::{InboundBacklog, PeerBinding};
 use peer::GatewayPeer;
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 use subscriptions::Forwarded;
 use tracing::{debug, error, info};
-
-/// Where messages to the stack go, from whichever thread.
-pub(super) struct StackRecipients {
-    pub(super) replies: Recipient<LocalReply>,
-    pub(super) interests: Recipient<TopicInterestChanged>,
-    pub(super) capacity: Recipient<CapacityAvailable>,
-    pub(super) events: Recipient<LocalEvent>,
-}
 
 /// What the gateway uses of its node.
 struct GatewaySetup {
@@ -54,13 +46,14 @@ struct GatewaySetup {
     topics: Topics,
     nodes: Option<Recipient<NodeReported>>,
     faults: FaultReporter,
-    stack: StackRecipients,
+    stack: Recipient<LocalInput>,
     stubs: Arc<PeerStubs>,
-    deaths: DeathWatchService,
     dead_letters: DeadLetterLog,
     may_be_away: SortedSet<NodeName>,
-    /// Who of this node talks to others like itself.
-    observers: Vec<Recipient<PeerStatusChanged>>,
+    /// The directory of this node, and those of others.
+    directory: Option<Recipient<DirectoryReport>>,
+    /// Checks the rosters of other nodes. It ends with the node's network.
+    roster_watch: Weak<RosterWatch>,
 }
 
 /// Speaks for the objects of this node.
@@ -90,13 +83,15 @@ impl ObjectGateway {
     pub(super) fn new(
         environment: &NetEnvironment,
         stubs: Arc<PeerStubs>,
-        deaths: DeathWatchService,
-        (faults, stack): (FaultReporter, StackRecipients),
+        (faults, stack): (FaultReporter, Recipient<LocalInput>),
     ) -> Self {
-        let NetEnvironment { registry, topics, nodes, dead_letters, observers, .. } =
-            environment.clone();
+        let NetEnvironment { registry, topics, nodes, dead_letters, .. } = environment.clone();
         let may_be_away = environment.may_be_away.clone();
+        let directory = environment.directory.as_ref().map(|line| line.reports.clone());
         let mut exchange = PeerProtocol::default();
+        if let Some(keys) = &environment.keys {
+            exchange.handle_roster(keys.serial(), keys.roster_text());
+        }
         if let Some(policy) = registry.access().policy() {
             exchange.handle_access((*policy).clone());
         }
@@ -107,10 +102,10 @@ impl ObjectGateway {
             faults,
             stack,
             stubs,
-            deaths,
             dead_letters,
             may_be_away,
-            observers,
+            directory,
+            roster_watch: Weak::new(),
         };
         ObjectGateway {
             wiring,
@@ -130,10 +125,8 @@ impl ObjectGateway {
 
     /// Listens to the topics that this node's objects listen to.
     pub(super) fn take_interest(&mut self) {
-        let stack = self.wiring.stack.interests.clone();
-        let interest = move |key: &TopicKey| {
-            stack.do_send(TopicInterestChanged { key: key.clone() });
-        };
+        let stack = self.wiring.stack.clone();
+        let interest = move |key: &TopicKey| stack.do_send(LocalInput::Interest(key.clone()));
         self.wiring.topics.on_interest(Arc::new(interest));
         for (key, identities) in self.wiring.topics.listened() {
             self.exchange.handle_interest(topic(&key), identities);
@@ -184,7 +177,7 @@ impl ObjectGateway {
             }
             PeerProtocolOutput::Serve { peer, epoch, binding, call, id, age, until, payload } => {
                 let reply_to =
-                    call.map(|call| reply_to(peer, epoch, call, self.wiring.stack.replies.clone()));
+                    call.map(|call| reply_to(peer, epoch, call, self.wiring.stack.clone()));
                 let metadata =
                     MessageMetadata { id, age, is_first: false, until, from: Some(peer) };
                 self.serve((peer, binding), &payload, metadata, reply_to);
@@ -233,6 +226,13 @@ impl ObjectGateway {
             PeerProtocolOutput::Announced { peer } => {
                 self.forget_past(peer);
                 self.with_send_state(peer, PeerSendState::handle_announced)
+            }
+            PeerProtocolOutput::SafeState { peer, reason } => self.peer_rests(peer, reason),
+            PeerProtocolOutput::Roster { peer, text } => self.offer_roster(peer, &text),
+            PeerProtocolOutput::Directory { peer, message } => {
+                if let Some(GatewayPeer { node, .. }) = self.peers.get(&peer) {
+                    self.tell_directory(DirectoryReport::Said { node: node.clone(), message });
+                }
             }
             PeerProtocolOutput::Bye { peer } => self.handle_bye(peer),
             PeerProtocolOutput::Forget { peer, why } => self.forget(peer, &why),
@@ -285,15 +285,17 @@ impl ObjectGateway {
         known.send_state.set(PeerCondition::Left);
         let (node, incarnation) = (known.node.clone(), known.incarnation);
         info!(%node, %incarnation, "node leaves in order");
-        self.report_peer(&PeerStatusChanged::Left { node: node.clone() });
+        self.tell_directory(DirectoryReport::Left { node: node.clone() });
         if let Some(nodes) = &self.wiring.nodes {
             let condition = NodeCondition::Left;
             nodes.do_send(NodeReported { node, incarnation, condition });
         }
     }
 
-    fn report_peer(&self, seen: &PeerStatusChanged) {
-        self.wiring.observers.iter().for_each(|observer| observer.do_send(seen.clone()));
+    fn tell_directory(&self, report: DirectoryReport) {
+        if let Some(directory) = &self.wiring.directory {
+            directory.do_send(report);
+        }
     }
 
     /// Why the session with a peer has ended, as its callers are told.
@@ -351,7 +353,7 @@ fn reply_to(
     peer: NodeId,
     epoch: SessionEpoch,
     call: u64,
-    gateway: Recipient<LocalReply>,
+    gateway: Recipient<LocalInput>,
 ) -> ReplyTo {
-    Box::new(move |result| gateway.do_send(LocalReply { peer, epoch, call, result }))
+    Box::new(move |result| gateway.do_send(LocalInput::Reply { peer, epoch, call, result }))
 }

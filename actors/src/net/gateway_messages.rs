@@ -1,13 +1,8 @@
-//! What this node's own side asks of the gateway, or tells it.
+//! What objects of this node send to those of other nodes.
 
 use crate::registry::ReplyTo;
-use crate::topic::TopicKey;
 use actix::Message;
-use blastema_core::net::NodeId;
-use blastema_core::net::peer_protocol::SessionEpoch;
-use blastema_core::{
-    ContractIdentity, Credit, DeliveryError, GatherBuffer, Instant, MessageId, ObjectAddress,
-};
+use blastema_core::{ContractIdentity, Credit, GatherBuffer, Instant, MessageId, ObjectAddress};
 
 /// An object here sends a message to one of another node.
 #[derive(Message)]
@@ -23,27 +18,4 @@ pub(in crate::net) struct SendToPeer {
     pub(in crate::net) payload: GatherBuffer,
     pub(in crate::net) reply_to: Option<ReplyTo>,
     pub(in crate::net) credit: Credit,
-}
-
-/// The start of this node is over: its objects answer.
-#[derive(Message)]
-#[rtype(result = "()")]
-pub(in crate::net) struct StartCompleted;
-
-/// An object here has answered another node's request.
-#[derive(Message)]
-#[rtype(result = "()")]
-pub(super) struct LocalReply {
-    pub(super) peer: NodeId,
-    pub(super) epoch: SessionEpoch,
-    pub(super) call: u64,
-    pub(super) result: Result<GatherBuffer, DeliveryError>,
-}
-
-/// A topic got its first listener here, or lost its last, or its contract is known now. Reports
-/// of several threads come in any order: the topic is asked what is so now.
-#[derive(Message)]
-#[rtype(result = "()")]
-pub(super) struct TopicInterestChanged {
-    pub(super) key: TopicKey,
 }

@@ -14,8 +14,9 @@ use blastema_core::net::trust::roster::{NodeRoster, RosterOrder};
 use blastema_core::net::{NeighbourKey, NodeId};
 use blastema_core::sorted::SortedSet;
 use blastema_core::{Incarnation, NodeName};
+use bytes::Bytes;
+use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use zeroize::Zeroizing;
 
 /// The keys with which a node seals what it sends.
@@ -24,7 +25,7 @@ pub(crate) struct NodeKeys {
     own: KeyFile,
     roster: NodeRoster,
     /// The roster's signed text.
-    text: Arc<str>,
+    text: Bytes,
     path: PathBuf,
     permissions: KeysPermissions,
 }
@@ -39,6 +40,18 @@ pub enum KeysPermissions {
     /// They are taken. For secrets that a container has mounted with permissions of its own. The
     /// fault `B25` says so for as long as the node runs.
     Unchecked,
+}
+
+/// The roster that a node uses, for display.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[non_exhaustive]
+pub struct RosterRow {
+    /// The robot's name.
+    pub robot: NodeName,
+    /// Its serial number: of two rosters the one with the higher number counts.
+    pub serial: u64,
+    /// How many nodes it lists.
+    pub nodes: usize,
 }
 
 /// Why a roster does not count.
@@ -106,7 +119,13 @@ impl NodeKeys {
                  copy the newest {node}.key and {robot}.roster here",
                 file.display()
             )),
-            Some(_) => Ok(NodeKeys { own, roster, text: text.as_str().into(), path, permissions }),
+            Some(_) => Ok(NodeKeys {
+                own,
+                roster,
+                text: Bytes::copy_from_slice(text.as_bytes()),
+                path,
+                permissions,
+            }),
         }
     }
 
@@ -196,7 +215,9 @@ impl NodeKeys {
                  that it has: copy the newest {0}.key here, and start the node again",
                 self.own.node
             )),
-            RosterOrder::Newer => Ok(Some(NodeKeys { roster, text: text.into(), ..self.clone() })),
+            RosterOrder::Newer => {
+                Ok(Some(NodeKeys { roster, text: text.to_owned().into(), ..self.clone() }))
+            }
         }
     }
 
@@ -207,8 +228,14 @@ impl NodeKeys {
     }
 
     /// The roster's signed text.
-    pub(super) fn roster_text(&self) -> &str {
-        &self.text
+    pub(super) fn roster_text(&self) -> Bytes {
+        self.text.clone()
+    }
+
+    /// The roster, for display.
+    pub(super) fn row(&self) -> RosterRow {
+        let NodeRoster { robot, serial, .. } = &self.roster;
+        RosterRow { robot: robot.clone(), serial: *serial, nodes: self.roster.nodes().len() }
     }
 
     /// The robot's name.

@@ -5,9 +5,9 @@ mod discovered;
 mod fault_reports;
 
 pub(super) use dialed_in::DIALED_IN_MAX;
-pub(super) use discovered::{
-    AddDiscoveredLink, NeighbourChange, RemoveDiscoveredLink, ReportNeighbours,
-};
+pub(crate) use discovered::DiscoverySpec;
+
+use discovered::NetworkDiscovery;
 
 use super::LinkSpec;
 use super::fault_reporter::FaultReporter;
@@ -78,8 +78,6 @@ pub(super) struct LinksRecipients {
     pub(super) router_loads: Recipient<ReceivedOnLink>,
     pub(super) monitor: Option<Recipient<LinkReported>>,
     pub(super) stalls: Option<Recipient<LivenessReported>>,
-    /// Discovery, and which network this is to it.
-    pub(super) discovery: Option<(usize, Recipient<NeighbourChange>)>,
     pub(super) faults: FaultReporter,
     /// Where frames are sealed: by which keys, and how.
     pub(super) seal: Option<(Arc<NodeKeys>, SealProfile)>,
@@ -110,13 +108,23 @@ pub(super) struct LinksActor {
     namesakes: SortedSet<LinkId>,
     /// Links to operators that came by themselves.
     dialed_in: SortedSet<LinkId>,
+    /// Where neighbours are learned of.
+    discovery: Option<NetworkDiscovery>,
     /// Links whose neighbour's key is in use twice, and when the other node was there last. That
     /// outlives the actor's incarnation, and ends when the other has been silent.
     keys_in_use: SortedMap<LinkId, Instant>,
 }
 
 impl LinksActor {
-    pub(super) fn new(wiring: LinksRecipients, specs: SortedMap<LinkId, LinkSpec>) -> Self {
+    /// Neighbours are learned of as `discovery` says, and get these numbers.
+    pub(super) fn new(
+        wiring: LinksRecipients,
+        specs: SortedMap<LinkId, LinkSpec>,
+        discovery: Option<(DiscoverySpec, Vec<LinkId>)>,
+    ) -> Self {
+        let keys = wiring.seal.as_ref().map(|(keys, _)| &**keys);
+        let discovery =
+            discovery.map(|spec| NetworkDiscovery::new(wiring.node.clone(), spec, keys));
         let mut links = LinksActor {
             wiring,
             specs,
@@ -131,6 +139,7 @@ impl LinksActor {
             complaints: RefusalAlarms::default(),
             namesakes: SortedSet::new(),
             dialed_in: SortedSet::new(),
+            discovery,
             keys_in_use: SortedMap::new(),
         };
         links.build(platform::now());
@@ -144,6 +153,9 @@ impl LinksActor {
         self.bundle = LinkLayer::new(sealer);
         self.let_operators_dial_in();
         self.unheard.clear();
+        if let Some(discovery) = &mut self.discovery {
+            discovery.restart(self.specs.iter().map(|(number, spec)| (*number, spec)));
+        }
         self.wake = WakeTimer::default();
         let specs: Vec<_> = self.specs.iter().map(|(n, spec)| (*n, spec.clone())).collect();
         for (number, spec) in specs {
@@ -344,6 +356,7 @@ impl Actor for LinksActor {
             links.look_at_rates();
         });
         self.attach(context);
+        self.attach_beacons(context);
         self.drive(context);
     }
 }
@@ -487,6 +500,9 @@ impl Handler<RosterChanged> for LinksActor {
     fn handle(&mut self, RosterChanged(keys): RosterChanged, context: &mut Context<Self>) {
         let Some((known, _)) = &mut self.wiring.seal else { return };
         *known = keys.clone();
+        if let Some(discovery) = &mut self.discovery {
+            discovery.handle_roster(&keys);
+        }
         let now = platform::now();
         self.let_operators_dial_in();
         let specs: Vec<_> = self.specs.iter().map(|(n, spec)| (*n, spec.clone())).collect();

@@ -18,22 +18,17 @@
 
 mod carrier;
 mod credit;
-mod discovery;
 mod fault_forwarding;
 pub(crate) mod fault_reporter;
 mod gateway;
 mod gateway_messages;
-mod isolation;
 pub(crate) mod keys;
 mod links;
 pub(crate) mod operator;
 mod own_incarnation;
 pub(crate) mod own_name;
-pub(crate) mod peer_messages;
-mod roster_exchange;
 mod roster_watch;
 mod router;
-pub(crate) mod safe_state;
 mod sessions;
 mod stack;
 mod stub;
@@ -41,12 +36,12 @@ mod stub;
 mod tests;
 
 pub(crate) use carrier::Interface;
-pub(crate) use discovery::DiscoverySpec;
-pub use roster_exchange::RosterRow;
-pub(crate) use roster_watch::RosterChanged;
+pub use keys::RosterRow;
+pub(crate) use links::DiscoverySpec;
 
 use self::fault_forwarding::RemoteRecoverer;
 use self::fault_reporter::FaultReporter;
+use self::gateway::LocalInput;
 use self::own_name::OwnName;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::platform;
@@ -60,11 +55,12 @@ use actix_rt::ArbiterHandle;
 use blastema_contract::link::{AddLinks, LinkRow, ReadLinks};
 use blastema_contract::monitor::{LinkReported, NodeReported};
 use blastema_contract::recoverer::Recover;
+use blastema_contract::recoverer::SafeStateChanged;
 use blastema_contract::reports::{
     AreYouAlive, DeclaredFaultCleared, FaultDeclared, LivenessReported,
 };
 use blastema_contract::router::{InjectPanic, ReadRoutes, Routes};
-use blastema_contract::session::{CloseSessions, PeerStatusChanged, ReadSessions, SessionRow};
+use blastema_contract::session::{DirectoryReport, ReadSessions, SendToDirectory, SessionRow};
 use blastema_contract::strategy::{IsolateNode, Reroute};
 use blastema_contract::transport::{MediumAddress, ReadCounters, Transport, TransportCounters};
 use blastema_core::net::LinkId;
@@ -72,10 +68,8 @@ use blastema_core::net::discovery::LEARNED_MAX;
 use blastema_core::net::seal::SealProfile;
 use blastema_core::sorted::SortedSet;
 use blastema_core::{Incarnation, NodeName, ObjectName};
-use discovery::{AddNetworks, DiscoveryActor, DiscoveryNetwork, NetworkLinks};
-use roster_exchange::{AttachRosterWatch, ReadRoster, RosterActor};
 use roster_watch::RosterWatch;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 /// One medium of this node, and its neighbours there.
@@ -161,37 +155,25 @@ pub(crate) struct NetEnvironment {
     pub(crate) faults: Option<Recipient<FaultDeclared>>,
     /// Is told of those that are over.
     pub(crate) cleared: Option<Recipient<DeclaredFaultCleared>>,
-    /// Are told whom they can talk to.
-    pub(crate) observers: Vec<Recipient<PeerStatusChanged>>,
-    /// Are told of a newer roster.
-    pub(crate) roster_observers: Vec<Recipient<RosterChanged>>,
+    /// The directory of this node.
+    pub(crate) directory: Option<DirectoryLine>,
     /// With which frames are sealed.
     pub(crate) keys: Option<Arc<keys::NodeKeys>>,
+}
+
+/// Between the network and the directory of a node.
+#[derive(Clone)]
+pub(crate) struct DirectoryLine {
+    /// The directory.
+    pub(crate) reports: Recipient<DirectoryReport>,
+    /// The network, once it is started.
+    pub(crate) network: Arc<OnceLock<Recipient<SendToDirectory>>>,
 }
 
 impl NetEnvironment {
     fn own_faults(&self, object: &str) -> FaultReporter {
         FaultReporter::of(object, self.faults.clone(), self.cleared.clone())
     }
-}
-
-/// Why a network cannot be started.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub(crate) enum NetError {
-    /// Two networks, or two links of one, have one name.
-    #[error("two links are called {name}: give one of them another name")]
-    LinkNameTaken {
-        /// The name.
-        name: String,
-    },
-    /// Two links of one network lead to one address.
-    #[error("two links of network {network} lead to {remote}: leave one of them out")]
-    RemoteTaken {
-        /// The network.
-        network: String,
-        /// The address.
-        remote: String,
-    },
 }
 
 /// A started network. Clones are the same network.
@@ -201,86 +183,57 @@ pub(crate) struct NetHandle {
     networks: Vec<(ObjectName, Addr<links::LinksActor>)>,
     /// The counters of each network's transport.
     media: Vec<(Arc<str>, Recipient<ReadCounters>)>,
-    discovery: Option<Addr<DiscoveryActor>>,
     guardian: Guardian,
     arbiter: Option<ArbiterHandle>,
     registry: Registry,
     stubs: Arc<stub::PeerStubs>,
     deaths: DeathWatchService,
-    isolation: isolation::IsolationControl,
     carrier: Arc<carrier::CarrierMonitor>,
-    roster: Option<Addr<RosterActor>>,
     own_name: OwnName,
     /// Ends with the last handle.
     _roster_watch: Option<Arc<RosterWatch>>,
 }
 
-/// Starts the network of a node, and connects the registry and the topics to it.
-///
-/// # Errors
-/// [`NetError`], before anything is started.
-pub(crate) fn start(
-    environment: NetEnvironment,
-    networks: Vec<NetworkSpec>,
-) -> Result<NetHandle, NetError> {
-    check(&networks)?;
+/// Starts the network of a node, and connects the registry and the topics to it. Each link has a name
+/// and a remote address of its own.
+pub(crate) fn start(environment: NetEnvironment, networks: Vec<NetworkSpec>) -> NetHandle {
     platform::keep_freed_memory();
-    let mut environment = environment;
     let NetEnvironment { node, incarnation, guardian, arbiter, .. } = environment.clone();
     let on_arbiter = arbiter.as_ref();
 
-    let ((numbers, dial_in), fields) = number(&networks);
-    let wiring = discovery::DiscoveryRecipients {
-        node: node.clone(),
-        fields,
-        faults: environment.own_faults("discovery"),
-        keys: environment.keys.clone(),
-    };
-    let discovery = (!wiring.fields.is_empty())
-        .then(|| guardian.start(named("discovery"), on_arbiter, |_| DiscoveryActor::new(wiring)));
-    let registry = environment.registry.clone();
-    let faults = environment.own_faults("roster");
-    let roster = environment.keys.clone().map(|keys| {
-        guardian.start(named("roster"), on_arbiter, move |context: &mut Context<_>| {
-            RosterActor::new(keys, &registry, faults, context.address().recipient())
-        })
-    });
-    if roster.is_none() {
-        peer_messages::register_sink(named("roster"), &environment.registry);
-    }
+    let numbers = number(&networks);
     if let Some(recoverer) = environment.recoverer.clone() {
         fault_forwarding::serve(&environment.registry, recoverer);
     }
-    environment.observers.extend(roster.clone().map(Addr::recipient));
 
     let own_name = OwnName::new();
     let keys = environment.keys.clone();
     let stubs = Arc::new(stub::PeerStubs::new());
     let deaths = remote_watch::serve(&environment.registry);
-    let parts = (stubs.clone(), deaths.clone(), own_name.clone());
-    let make = stack::NetworkStack::maker(&environment, parts);
+    let make = stack::NetworkStack::maker(&environment, (stubs.clone(), own_name.clone()));
     let stack = guardian.start(named("stack"), on_arbiter, make);
     stubs.connect(stack.clone().recipient());
-    let isolation = isolation::IsolationControl {
-        stubs: stubs.clone(),
-        stack: stack.clone().recipient(),
-        monitor: environment.nodes.clone(),
-    };
+    if let Some(directory) = &environment.directory {
+        // It is set once, here.
+        let _ = directory.network.set(stack.clone().recipient());
+    }
     let remote: Arc<dyn StubFactory> = stubs.clone();
     environment.registry.connect(remote);
 
-    let (mut watched, mut domains) = (Vec::new(), Vec::new());
+    let mut watched = Vec::new();
     let media = networks.iter().map(|spec| (spec.name.clone(), spec.transport.counters.clone()));
     let media = media.collect();
     if let Some(keys) = &keys {
         let networks = networks.iter().map(|spec| (spec.name.to_string(), spec.seal.is_some()));
-        let orders = operator::IsolationOrders::new(node.clone(), isolation.clone());
+        let orders =
+            operator::IsolationOrders::new(node.clone(), stubs.clone(), stack.clone().recipient());
         operator::serve(&environment.registry, keys, networks.collect(), orders);
     }
-    let networks = networks.into_iter().zip(numbers).zip(dial_in).map(|((spec, numbers), free)| {
+    let networks = networks.into_iter().zip(numbers).map(|(spec, numbers)| {
         let name = named(&format!("links/{}", spec.name));
-        let links = spec.links.into_iter().zip(&numbers).map(|(link, n)| (*n, link)).collect();
-        let discovery_actor = spec.discovery.and(discovery.clone()).map(Addr::recipient);
+        let links = spec.links.into_iter().zip(&numbers.described).map(|(link, n)| (*n, link));
+        let links = links.collect();
+        let discovery = spec.discovery.map(|discovery| (discovery, numbers.learned.clone()));
         let faults = environment.own_faults(&format!("links/{}", spec.name));
         let wiring = links::LinksRecipients {
             node: node.clone(),
@@ -292,106 +245,74 @@ pub(crate) fn start(
             router_loads: stack.clone().recipient(),
             monitor: environment.links.clone(),
             stalls: environment.stalls.clone(),
-            discovery: discovery_actor.clone().map(|actor| (domains.len(), actor)),
             faults,
             seal: keys.clone().zip(spec.seal),
-            dial_in: free.clone(),
+            dial_in: numbers.dial_in.clone(),
         };
-        let address = guardian
-            .start(name.clone(), on_arbiter, move |_| links::LinksActor::new(wiring, links));
-        domains.extend(discovery_actor.map(|_| NetworkLinks {
-            learn: address.clone().recipient(),
-            forget: address.clone().recipient(),
-            tell: address.clone().recipient(),
-        }));
+        let address = guardian.start(name.clone(), on_arbiter, move |_| {
+            links::LinksActor::new(wiring, links, discovery)
+        });
         if let Some(interface) = spec.interface {
             watched.push(carrier::MonitoredInterface {
                 interface,
                 recipient: address.clone().recipient(),
             });
         }
-        let links = numbers.into_iter().chain(free).collect();
+        let LinkNumbers { described, learned, dial_in } = numbers;
+        let links = described.into_iter().chain(learned).chain(dial_in).collect();
         stack.do_send(AddLinks { links, carry: address.clone().recipient() });
         (name, address)
     });
     let networks: Vec<(_, Addr<links::LinksActor>)> = networks.collect();
-    let roster_watch = roster.as_ref().zip(keys).map(|(roster, keys)| {
+    let roster_watch = keys.map(|keys| {
         let links = networks.iter().map(|(_, links)| links.clone().recipient());
         // Who is not missed any more is known before the links go down.
-        let first = [stack.clone().recipient()].into_iter();
-        let others = discovery.clone().map(Addr::recipient).into_iter();
-        let others = others.chain(environment.roster_observers);
-        let told = first.chain(links).chain(others).collect();
-        let exchange = (roster.clone().recipient(), roster.clone().recipient());
-        let watch = Arc::new(RosterWatch::start(keys, exchange, told));
-        roster.do_send(AttachRosterWatch(Arc::downgrade(&watch)));
+        let told = [stack.clone().recipient()].into_iter().chain(links).collect();
+        let faults = environment.own_faults("roster");
+        let watch = RosterWatch::start((keys, faults), stack.clone().recipient(), told);
+        let watch = Arc::new(watch);
+        stack.do_send(stack::AttachRosterWatch(Arc::downgrade(&watch)));
         watch
     });
-    if let Some(discovery) = &discovery {
-        discovery.do_send(AddNetworks(domains));
-    }
     let carrier = Arc::new(carrier::CarrierMonitor::start(watched));
-    Ok(NetHandle {
+    NetHandle {
         stack,
         networks,
         media,
-        discovery,
         guardian,
         arbiter,
         registry: environment.registry,
         stubs,
         deaths,
-        isolation,
         carrier,
-        roster,
         own_name,
         _roster_watch: roster_watch,
-    })
+    }
 }
 
-/// The numbers of the links of each network, and those that it has left for operators' links.
-type LinkNumbers = (Vec<Vec<LinkId>>, Vec<Vec<LinkId>>);
-
-/// Gives every link its number; a network that discovers has some left for those that are learned,
-/// and one that is sealed for operators.
-fn number(networks: &[NetworkSpec]) -> (LinkNumbers, Vec<DiscoveryNetwork>) {
-    let (mut next, mut all, mut free, mut fields) = (0, Vec::new(), Vec::new(), Vec::new());
-    for NetworkSpec { name, links, discovery, seal, .. } in networks {
-        let mut take = |count: usize| -> Vec<LinkId> {
-            let first = next;
-            next += count as u16;
-            (first..next).map(LinkId).collect()
-        };
-        let mut numbers = take(links.len());
-        if let Some(spec) = discovery {
-            let learned = take(LEARNED_MAX);
-            numbers.extend(&learned);
-            let known = |link: &LinkSpec| Some((link.neighbour.clone()?, link.remote.clone()));
-            let described = links.iter().filter_map(known).collect();
-            let (network, spec) = (name.clone(), spec.clone());
-            fields.push(DiscoveryNetwork { network, spec, numbers: learned, described });
-        }
-        all.push(numbers);
-        free.push(seal.map_or_else(Vec::new, |_| take(links::DIALED_IN_MAX)));
-    }
-    ((all, free), fields)
+/// The numbers of the links of one network.
+struct LinkNumbers {
+    described: Vec<LinkId>,
+    /// For links that are learned, where it discovers.
+    learned: Vec<LinkId>,
+    /// For operators that connect by themselves, where it is sealed.
+    dial_in: Vec<LinkId>,
 }
 
-fn check(networks: &[NetworkSpec]) -> Result<(), NetError> {
-    let mut names = SortedSet::new();
-    for NetworkSpec { name: network, links, .. } in networks {
-        let mut remotes = SortedSet::new();
-        for LinkSpec { name, remote, .. } in links {
-            if !names.insert((network, name)) {
-                return Err(NetError::LinkNameTaken { name: name.to_string() });
-            }
-            if !remotes.insert(remote) {
-                let (network, remote) = (network.to_string(), remote.to_string());
-                return Err(NetError::RemoteTaken { network, remote });
-            }
-        }
-    }
-    Ok(())
+/// Gives every link its number.
+fn number(networks: &[NetworkSpec]) -> Vec<LinkNumbers> {
+    let mut next = 0;
+    let mut take = |count: usize| -> Vec<LinkId> {
+        let first = next;
+        next += count as u16;
+        (first..next).map(LinkId).collect()
+    };
+    let numbers = networks.iter().map(|NetworkSpec { links, discovery, seal, .. }| LinkNumbers {
+        described: take(links.len()),
+        learned: take(if discovery.is_some() { LEARNED_MAX } else { 0 }),
+        dial_in: take(if seal.is_some() { links::DIALED_IN_MAX } else { 0 }),
+    });
+    numbers.collect()
 }
 
 /// The name under which the guardian reports one of the network's own actors.
@@ -456,7 +377,7 @@ impl NetHandle {
 
     /// The roster that is used; none without keys.
     pub(crate) async fn read_roster(&self) -> Option<RosterRow> {
-        self.roster.as_ref()?.send(ReadRoster).await.ok()
+        self.stack.send(stack::ReadRoster).await.ok().flatten()
     }
 
     /// All sessions.
@@ -476,7 +397,9 @@ impl NetHandle {
 
     /// Isolates another node, or admits it again.
     pub(crate) fn decide(&self, decision: IsolateNode) {
-        self.isolation.decide(decision);
+        // What is sent from here on is refused at once.
+        self.stubs.send_state(&decision.node).set_isolated(decision.isolated);
+        self.stack.do_send(decision);
     }
 
     /// Takes the decisions of recovery strategies about other nodes.
@@ -494,8 +417,6 @@ impl NetHandle {
     pub(crate) fn victims(&self) -> Vec<Recipient<InjectPanic>> {
         let mut all = vec![self.stack.clone().recipient()];
         all.extend(self.networks.iter().map(|(_, links)| links.clone().recipient()));
-        all.extend(self.discovery.clone().map(Addr::recipient));
-        all.extend(self.roster.clone().map(Addr::recipient));
         all
     }
 
@@ -517,11 +438,12 @@ impl NetHandle {
         for (name, links) in &self.networks {
             all.push((name.clone(), links.clone().recipient()));
         }
-        let discovery = self.discovery.clone().map(Addr::recipient);
-        all.extend(discovery.map(|pings| (named("discovery"), pings)));
-        let roster = self.roster.clone().map(Addr::recipient);
-        all.extend(roster.map(|pings| (named("roster"), pings)));
         all
+    }
+
+    /// Is told of the safe state of this node, and tells peers.
+    pub(crate) fn safe_states(&self) -> Recipient<SafeStateChanged> {
+        self.stack.clone().recipient()
     }
 
     /// Takes requests for another way, from the recovery strategy.
@@ -531,7 +453,7 @@ impl NetHandle {
 
     /// The start of this node is over: peers learn that they are connected with it.
     pub(crate) fn announce(&self) {
-        self.stack.do_send(gateway_messages::StartCompleted);
+        self.stack.do_send(LocalInput::Started);
     }
 
     /// This node begins to end in order: its objects are not started again.
@@ -550,6 +472,6 @@ impl NetHandle {
     pub(crate) fn leave(&self) {
         // What is accepted after that would go nowhere.
         self.stubs.end();
-        self.stack.do_send(CloseSessions);
+        self.stack.do_send(LocalInput::Ending);
     }
 }

@@ -9,11 +9,12 @@
 //! The peer protocol checks the right when the contract is bound. A node without keys serves none
 //! of this.
 
-use super::isolation::IsolationControl;
 use super::keys::NodeKeys;
+use super::stub::PeerStubs;
 use crate::registry::access::{AccessControl, MessageOrigin};
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, Registry};
+use actix::Recipient;
 use blastema_contract::strategy::IsolateNode;
 use blastema_core::{DeliveryError, NodeName, ObjectName};
 use blastema_macros::{Request, Structure};
@@ -90,12 +91,13 @@ pub enum OrderError {
 #[derive(Clone)]
 pub(super) struct IsolationOrders {
     own: NodeName,
-    control: IsolationControl,
+    stubs: Arc<PeerStubs>,
+    stack: Recipient<IsolateNode>,
 }
 
 impl IsolationOrders {
-    pub(super) fn new(own: NodeName, control: IsolationControl) -> Self {
-        IsolationOrders { own, control }
+    pub(super) fn new(own: NodeName, stubs: Arc<PeerStubs>, stack: Recipient<IsolateNode>) -> Self {
+        IsolationOrders { own, stubs, stack }
     }
 
     /// # Errors
@@ -105,7 +107,7 @@ impl IsolationOrders {
         if node == self.own {
             return Err("a node does not isolate itself: order another one".to_owned());
         }
-        if !self.control.stubs.has_met(&node) {
+        if !self.stubs.has_met(&node) {
             return Err(format!("it knows no node called {node}"));
         }
         let cut = (0..=REASON_BYTES.min(order.reason.len())).rev();
@@ -116,7 +118,7 @@ impl IsolationOrders {
         };
         let isolated = order.isolated;
         warn!(target: "blastema::audit", %node, isolated, operator = %by, "{cause}");
-        self.control.decide(IsolateNode { node, isolated, cause });
+        self.stack.do_send(IsolateNode { node, isolated, cause });
         Ok(())
     }
 }

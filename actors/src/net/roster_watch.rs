@@ -5,13 +5,13 @@
 //! its links, one that is new gets keys. One that came from another node replaces the file. A file
 //! that is refused is logged, and the node goes on with the roster that it has.
 
+use super::fault_reporter::FaultReporter;
 use super::keys::{NodeKeys, RefusalKind, RosterRefusal};
 use crate::platform;
 use crate::platform::key_files::FileStamp;
 use crate::platform::replace_file::replace_file;
 use actix::prelude::*;
-use blastema_core::NodeName;
-use blastema_core::sorted::SortedSet;
+use blastema_core::{FaultKind, NodeName};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::Duration;
@@ -24,15 +24,15 @@ const FAREWELL: Duration = Duration::from_millis(250);
 /// So many rosters of other nodes wait to be checked, one of each node that was asked.
 const OFFERS_MAX: usize = 64;
 
+/// There is a newer roster, which peers are to be told of before it counts here.
+#[derive(Clone, Message)]
+#[rtype(result = "()")]
+pub(crate) struct RosterFound(pub(crate) Arc<NodeKeys>);
+
 /// There is a newer roster.
 #[derive(Clone, Message)]
 #[rtype(result = "()")]
 pub(crate) struct RosterChanged(pub(crate) Arc<NodeKeys>);
-
-/// The newest roster does not count, and why; nothing once one does.
-#[derive(Debug, Message)]
-#[rtype(result = "()")]
-pub(super) struct RosterRefused(pub(super) Option<String>);
 
 /// Another node has this roster.
 pub(super) struct RosterOffer {
@@ -46,17 +46,16 @@ pub(crate) struct RosterWatch(SyncSender<RosterOffer>);
 impl RosterWatch {
     /// Tells these of each newer roster, and the first, which tells other nodes, before all others.
     pub(super) fn start(
-        keys: Arc<NodeKeys>,
-        (exchange, refusals): (Recipient<RosterChanged>, Recipient<RosterRefused>),
+        (keys, faults): (Arc<NodeKeys>, FaultReporter),
+        announce: Recipient<RosterFound>,
         told: Vec<Recipient<RosterChanged>>,
     ) -> RosterWatch {
         let (offers, offered) = sync_channel(OFFERS_MAX);
         // The file may have been replaced since the node has read it.
-        let refused_of = SortedSet::new();
-        let file = RosterFile { stamp: None, keys, refused: None, refused_of, refusals };
+        let file = RosterFile { stamp: None, keys, refused: None, faults };
         // Without the thread, a new roster counts when the node starts again.
         if let Err(error) =
-            platform::start_thread("roster", move || watch(file, &offered, &exchange, &told))
+            platform::start_thread("roster", move || watch(file, &offered, &announce, &told))
         {
             error!("a newer roster will count at the next start only: {error}");
         }
@@ -73,13 +72,13 @@ impl RosterWatch {
 fn watch(
     mut file: RosterFile,
     offered: &Receiver<RosterOffer>,
-    exchange: &Recipient<RosterChanged>,
+    announce: &Recipient<RosterFound>,
     told: &[Recipient<RosterChanged>],
 ) {
     let mut known = file.keys.clone();
     let mut tell = |newer: Option<Arc<NodeKeys>>| {
         let Some(keys) = newer else { return };
-        exchange.do_send(RosterChanged(keys.clone()));
+        announce.do_send(RosterFound(keys.clone()));
         if !known.missing_in(&keys).is_empty() {
             std::thread::sleep(FAREWELL);
         }
@@ -106,9 +105,7 @@ struct RosterFile {
     stamp: Option<FileStamp>,
     /// Why a roster was refused, as it was logged.
     refused: Option<String>,
-    /// Nodes of which a roster was refused and logged since the last that was taken.
-    refused_of: SortedSet<NodeName>,
-    refusals: Recipient<RosterRefused>,
+    faults: FaultReporter,
 }
 
 impl RosterFile {
@@ -134,16 +131,10 @@ impl RosterFile {
             Ok(None) => return None,
             newer => newer,
         };
-        if newer.is_err() && self.refused_of.contains(from) {
-            return None;
-        }
-        if newer.is_err() {
-            self.refused_of.insert(from.clone());
-        }
         // What the robot has not signed says nothing of this node.
         let keys = self.adopt(newer, |kind| kind == RefusalKind::Unusable)?;
         let path = keys.roster_path();
-        match replace_file(path, keys.roster_text().as_bytes()) {
+        match replace_file(path, &keys.roster_text()) {
             Ok(()) => self.stamp = FileStamp::of(path),
             Err(error) => warn!(
                 "roster {} of {from} is used, and cannot be kept in {}: {error}; at the next start it is \
@@ -162,14 +153,13 @@ impl RosterFile {
         is_fault: impl FnOnce(RefusalKind) -> bool,
     ) -> Option<Arc<NodeKeys>> {
         if newer.is_ok() && self.refused.is_some() {
-            self.refusals.do_send(RosterRefused(None));
+            self.faults.clear(FaultKind::CheckFailed);
         }
         match newer {
             Ok(Some(keys)) => {
                 info!(robot = %keys.robot(), serial = keys.serial(), "a newer roster");
                 self.keys = Arc::new(keys);
                 self.refused = None;
-                self.refused_of.clear();
                 Some(self.keys.clone())
             }
             Ok(None) => {
@@ -180,7 +170,7 @@ impl RosterFile {
                 if self.refused.as_ref() != Some(&reason) {
                     error!("the roster is refused: {reason}");
                     if is_fault(kind) {
-                        self.refusals.do_send(RosterRefused(Some(reason.clone())));
+                        self.faults.declare(FaultKind::CheckFailed, reason.clone());
                     }
                     self.refused = Some(reason);
                 }
@@ -194,31 +184,27 @@ impl RosterFile {
 mod tests {
     use super::*;
     use crate::net::keys::tests::written;
-    use blastema_doubles::{Probe, paused};
     use std::fs;
 
     #[test]
     fn a_file_that_is_gone_is_told_each_time_that_it_goes_and_is_read_when_it_is_back() {
-        paused(async {
-            let folder = tempfile::tempdir().expect("a folder");
-            let keys = Arc::new(written(folder.path()));
-            let path = keys.roster_path().to_owned();
-            let refusals = Probe::<RosterRefused>::start().recipient();
-            let refused_of = SortedSet::new();
-            let mut file = RosterFile { keys, stamp: None, refused: None, refused_of, refusals };
-            assert!(file.look().is_none() && file.refused.is_none(), "it is the one that is known");
+        let folder = tempfile::tempdir().expect("a folder");
+        let keys = Arc::new(written(folder.path()));
+        let path = keys.roster_path().to_owned();
+        let faults = FaultReporter::of("roster", None, None);
+        let mut file = RosterFile { keys, stamp: None, refused: None, faults };
+        assert!(file.look().is_none() && file.refused.is_none(), "it is the one that is known");
 
-            for _ in 0..2 {
-                let text = fs::read(&path).expect("it is there");
-                fs::remove_file(&path).expect("it is ours");
-                assert!(file.look().is_none());
-                let refused = file.refused.clone().expect("it is gone");
-                assert!(refused.contains("does not start again"), "{refused}");
+        for _ in 0..2 {
+            let text = fs::read(&path).expect("it is there");
+            fs::remove_file(&path).expect("it is ours");
+            assert!(file.look().is_none());
+            let refused = file.refused.clone().expect("it is gone");
+            assert!(refused.contains("does not start again"), "{refused}");
 
-                fs::write(&path, text).expect("it is ours");
-                assert!(file.look().is_none());
-                assert_eq!(file.refused, None);
-            }
-        });
+            fs::write(&path, text).expect("it is ours");
+            assert!(file.look().is_none());
+            assert_eq!(file.refused, None);
+        }
     }
 }

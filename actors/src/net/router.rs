@@ -1,12 +1,13 @@
 //! The router of this node, for the network's stack.
 
 use super::fault_reporter::FaultReporter;
-use super::keys::NodeKeys;
+use super::keys::{NodeKeys, RosterRow};
 use super::own_name::OwnName;
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::link::{AddLinks, LinkChanged, LinkPayload, TransmitOnLink};
 use blastema_contract::monitor::NodeReported;
+use blastema_contract::strategy::IsolateNode;
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::wire::frame::NameHolder;
 use blastema_core::net::{self, LinkId, NodeId, RouterConfig, RouterOutput};
@@ -63,6 +64,11 @@ impl NodeRouter {
             own_name,
             keys,
         }
+    }
+
+    /// The roster that is used, for display.
+    pub(super) fn roster(&self) -> Option<RosterRow> {
+        Some(self.keys.as_ref()?.row())
     }
 
     /// A name is used twice: a user must act.
@@ -184,12 +190,24 @@ impl NodeRouter {
         }
     }
 
-    pub(super) fn handle_isolation(&mut self, node: &NodeName, isolated: bool) {
-        match isolated {
-            true => drop(self.isolated.insert(node.clone())),
-            false => drop(self.isolated.remove(node)),
+    /// Isolates a node, or admits it again. Says which, where that is a change.
+    pub(super) fn handle_isolation(&mut self, decision: IsolateNode) -> Option<bool> {
+        let IsolateNode { node, isolated, cause } = decision;
+        let is_change = match isolated {
+            true => self.isolated.insert(node.clone()),
+            false => self.isolated.remove(&node),
+        };
+        if !is_change {
+            return None;
         }
-        self.machine.handle_isolation(node, isolated, platform::now());
+        warn!(%node, isolated, "isolated, or admitted again: {cause}");
+        self.machine.handle_isolation(&node, isolated, platform::now());
+        let condition = match isolated {
+            true => NodeCondition::Isolated { reason: cause },
+            false => NodeCondition::Admitted,
+        };
+        self.report_node(node, Incarnation::default(), condition);
+        Some(isolated)
     }
 
     fn carry(&self, link: LinkId, load: LinkPayload) {

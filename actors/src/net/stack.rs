@@ -10,29 +10,29 @@
 //! reset as well.
 
 use super::NetEnvironment;
-use super::gateway::{CapacityAvailable, LocalEvent, ObjectGateway, StackRecipients};
-use super::gateway_messages::{LocalReply, SendToPeer, StartCompleted, TopicInterestChanged};
-use super::isolation::{IsolationChanged, IsolationControl};
+use super::gateway::{LocalInput, ObjectGateway};
+use super::gateway_messages::SendToPeer;
+use super::keys::RosterRow;
 use super::own_name::OwnName;
-use super::roster_watch::RosterChanged;
+use super::roster_watch::{RosterChanged, RosterFound, RosterWatch};
 use super::router::{NodeRouter, Verdict};
 use super::sessions::PeerSessions;
 use super::stub::PeerStubs;
 use crate::platform;
 use crate::platform::panics;
-use crate::registry::remote_watch::DeathWatchService;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::answers_the_monitor;
 use crate::runtime::pending_answer::PendingAnswer;
 use actix::prelude::*;
 use blastema_contract::link::{AddLinks, LinkChanged, ReceivedOnLink};
+use blastema_contract::recoverer::SafeStateChanged;
 use blastema_contract::router::{InjectPanic, ReadRoutes, Routes};
-use blastema_contract::session::{CloseSessions, ReadSessions, SessionRow};
+use blastema_contract::session::{ReadSessions, SendToDirectory, SessionRow};
 use blastema_contract::strategy::{IsolateNode, Reroute};
 use blastema_core::net::{NodeId, RouterOutput, SessionOutput};
 use blastema_core::recovery::{RecoveryDone, RecoveryFailed};
 use blastema_core::{FaultLocation, Instant, Machine};
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 use tokio::sync::oneshot;
 use tracing::{debug, error, info};
@@ -46,7 +46,6 @@ const LOOK_INTERVAL: Duration = Duration::from_secs(1);
 pub(super) struct NetworkStack {
     pub(super) gateway: ObjectGateway,
     pub(super) lower: LowerFloors,
-    isolation: IsolationControl,
     wake: WakeTimer,
 }
 
@@ -59,6 +58,16 @@ pub(super) struct LowerFloors {
     /// A change of a path that waits for what the sessions do about earlier segments.
     held: Option<RouterOutput>,
 }
+
+/// Takes the rosters of other nodes from now on.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(super) struct AttachRosterWatch(pub(super) Weak<RosterWatch>);
+
+/// Asks for the roster that is used.
+#[derive(Message)]
+#[rtype(result = "Option<RosterRow>")]
+pub(super) struct ReadRoster;
 
 /// What [`LowerFloors`] want done.
 pub(super) enum StackOutput {
@@ -126,31 +135,20 @@ impl Machine for LowerFloors {
 impl NetworkStack {
     pub(super) fn maker(
         environment: &NetEnvironment,
-        (stubs, deaths, own_name): (Arc<PeerStubs>, DeathWatchService, OwnName),
+        (stubs, own_name): (Arc<PeerStubs>, OwnName),
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
         let environment = environment.clone();
         move |context| {
-            let isolation = IsolationControl {
-                stubs: stubs.clone(),
-                stack: context.address().recipient(),
-                monitor: environment.nodes.clone(),
-            };
             let faults = environment.own_faults("stack");
-            let recipients = StackRecipients {
-                replies: context.address().recipient(),
-                interests: context.address().recipient(),
-                capacity: context.address().recipient(),
-                events: context.address().recipient(),
-            };
-            let told = (faults.clone(), recipients);
-            let gateway = ObjectGateway::new(&environment, stubs, deaths, told);
+            let told = (faults.clone(), context.address().recipient());
+            let gateway = ObjectGateway::new(&environment, stubs, told);
             let NetEnvironment { node, incarnation, nodes, keys, session_timeout, .. } =
                 environment;
             let (identity, told) = ((node, incarnation), (faults.clone(), nodes.clone()));
             let sessions = PeerSessions::new(identity.clone(), session_timeout, told);
             let router = NodeRouter::new(identity, (nodes, own_name), faults, keys);
             let lower = LowerFloors { sessions, router, in_router: false, held: None };
-            NetworkStack { gateway, lower, isolation, wake: WakeTimer::default() }
+            NetworkStack { gateway, lower, wake: WakeTimer::default() }
         }
     }
 
@@ -170,7 +168,7 @@ impl NetworkStack {
         self.drive_soon(context);
     }
 
-    pub(super) fn carry_out_of_router(&mut self, output: RouterOutput) {
+    fn carry_out_of_router(&mut self, output: RouterOutput) {
         let sessions = &mut self.lower.sessions;
         match output {
             RouterOutput::Undelivered { destination, reason } => {
@@ -182,9 +180,7 @@ impl NetworkStack {
             RouterOutput::Reachable { node, incarnation, mtu } => {
                 self.lower.with_router(|router| router.reachable(&node, incarnation));
                 let sessions = &mut self.lower.sessions;
-                if let Some(gone) = sessions.meet(&node) {
-                    self.gateway.session_discarded(gone);
-                }
+                sessions.meet(&node);
                 self.gateway.handle_reachable(&node, incarnation);
                 sessions.handle_reachable(NodeId::of(&node), incarnation, mtu);
             }
@@ -317,82 +313,40 @@ impl Handler<SendToPeer> for NetworkStack {
     }
 }
 
-impl Handler<LocalReply> for NetworkStack {
+impl Handler<LocalInput> for NetworkStack {
     type Result = ();
 
-    fn handle(&mut self, message: LocalReply, context: &mut Context<Self>) {
-        self.gateway.handle_answer(message);
-        self.drive_all_soon(context);
-    }
-}
-
-impl Handler<LocalEvent> for NetworkStack {
-    type Result = ();
-
-    fn handle(&mut self, message: LocalEvent, context: &mut Context<Self>) {
-        self.gateway.handle_event(message);
-        self.drive_all_soon(context);
-    }
-}
-
-impl Handler<CapacityAvailable> for NetworkStack {
-    type Result = ();
-
-    fn handle(&mut self, message: CapacityAvailable, context: &mut Context<Self>) {
-        self.gateway.hand_over(message.peer, message.object);
-        self.drive_all_soon(context);
-    }
-}
-
-impl Handler<TopicInterestChanged> for NetworkStack {
-    type Result = ();
-
-    fn handle(&mut self, message: TopicInterestChanged, context: &mut Context<Self>) {
-        self.gateway.handle_interest(&message.key);
-        self.drive_all_soon(context);
-    }
-}
-
-impl Handler<StartCompleted> for NetworkStack {
-    type Result = ();
-
-    fn handle(&mut self, _: StartCompleted, context: &mut Context<Self>) {
-        self.gateway.handle_started();
-        self.drive_all(context);
-    }
-}
-
-impl Handler<CloseSessions> for NetworkStack {
-    type Result = ();
-
-    fn handle(&mut self, _: CloseSessions, context: &mut Context<Self>) {
-        self.gateway.handle_end();
-        self.drive_all(context);
-    }
-}
-
-impl Handler<IsolationChanged> for NetworkStack {
-    type Result = ();
-
-    fn handle(&mut self, message: IsolationChanged, context: &mut Context<Self>) {
-        let IsolationChanged { node, isolated } = message;
-        self.lower.with_router(|router| router.handle_isolation(&node, isolated));
-        if isolated {
-            self.gateway.handle_isolated(&node);
-        } else if let Some(session) = self.lower.sessions.machines.get_mut(NodeId::of(&node)) {
-            // What it sent meanwhile was not read: only a new session makes both agree again.
-            session.handle_restart(platform::now());
+    fn handle(&mut self, input: LocalInput, context: &mut Context<Self>) {
+        // A panic must not come between the order to end and what peers are told.
+        let is_end = matches!(input, LocalInput::Ending);
+        self.gateway.handle_local(input);
+        match is_end {
+            true => self.drive_all(context),
+            false => self.drive_all_soon(context),
         }
-        self.drive_all(context);
     }
 }
 
-/// A recovery strategy has decided so.
+/// A recovery strategy, an operator or the application has decided so, for this node alone: each node
+/// decides for itself, and all follow the roster.
 impl Handler<IsolateNode> for NetworkStack {
     type Result = Result<RecoveryDone, RecoveryFailed>;
 
-    fn handle(&mut self, message: IsolateNode, _: &mut Context<Self>) -> Self::Result {
-        self.isolation.decide(message);
+    fn handle(&mut self, message: IsolateNode, context: &mut Context<Self>) -> Self::Result {
+        let node = message.node.clone();
+        let is_change = self.lower.with_router(|router| router.handle_isolation(message));
+        match is_change {
+            Some(true) => self.gateway.handle_isolated(&node),
+            // What it sent meanwhile was not read: only a new session makes both agree again.
+            Some(false) => {
+                self.gateway.handle_admitted(&node);
+                if let Some(session) = self.lower.sessions.machines.get_mut(NodeId::of(&node)) {
+                    session.handle_restart(platform::now());
+                }
+            }
+            None => {}
+        }
+        self.drive_all(context);
         Ok(RecoveryDone::default())
     }
 }
@@ -404,6 +358,50 @@ impl Handler<RosterChanged> for NetworkStack {
         self.gateway.handle_roster(&keys);
         self.lower.with_router(|router| router.handle_roster(keys));
         self.drive_all(context);
+    }
+}
+
+impl Handler<RosterFound> for NetworkStack {
+    type Result = ();
+
+    fn handle(&mut self, RosterFound(keys): RosterFound, context: &mut Context<Self>) {
+        self.gateway.announce_roster(&keys);
+        self.drive_all(context);
+    }
+}
+
+impl Handler<AttachRosterWatch> for NetworkStack {
+    type Result = ();
+
+    fn handle(&mut self, AttachRosterWatch(watch): AttachRosterWatch, _: &mut Context<Self>) {
+        self.gateway.attach_roster_watch(watch);
+    }
+}
+
+impl Handler<ReadRoster> for NetworkStack {
+    type Result = MessageResult<ReadRoster>;
+
+    fn handle(&mut self, _: ReadRoster, _: &mut Context<Self>) -> Self::Result {
+        MessageResult(self.lower.router.roster())
+    }
+}
+
+impl Handler<SafeStateChanged> for NetworkStack {
+    type Result = ();
+
+    fn handle(&mut self, message: SafeStateChanged, context: &mut Context<Self>) {
+        self.gateway.handle_safe_state(message);
+        self.drive_all(context);
+    }
+}
+
+impl Handler<SendToDirectory> for NetworkStack {
+    type Result = ();
+
+    fn handle(&mut self, message: SendToDirectory, context: &mut Context<Self>) {
+        let SendToDirectory { node, message } = message;
+        self.gateway.exchange.handle_directory(NodeId::of(&node), message);
+        self.drive_all_soon(context);
     }
 }
 

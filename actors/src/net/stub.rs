@@ -106,12 +106,10 @@ impl PeerSendState {
         self.changed.notify_waiters();
     }
 
-    /// Sets whether nothing is sent there and nothing accepted from there, and returns whether that
-    /// is a change.
-    pub(super) fn set_isolated(&self, isolated: bool) -> bool {
-        let is_change = self.isolated.swap(isolated, Relaxed) != isolated;
+    /// Sets whether nothing is sent there and nothing accepted from there.
+    pub(super) fn set_isolated(&self, isolated: bool) {
+        self.isolated.store(isolated, Relaxed);
         self.changed.notify_waiters();
-        is_change
     }
 
     pub(super) fn is_isolated(&self) -> bool {
@@ -328,14 +326,6 @@ impl StubFactory for PeerStubs {
 
     fn is_reachable(&self, node: &NodeName) -> bool {
         self.send_state(node).path.load(Relaxed)
-    }
-
-    fn opening(&self, node: &NodeName) -> Pin<Box<dyn Future<Output = ()> + Send>> {
-        let send_state = self.send_state(node);
-        if send_state.is_opened() {
-            return Box::pin(std::future::pending());
-        }
-        Box::pin(async move { send_state.opened().await })
     }
 }
 

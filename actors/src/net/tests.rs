@@ -204,11 +204,10 @@ impl Robot {
             faults: Some(declared.recipient()),
             cleared: None,
             session_timeout: IDLE_TIMEOUT,
-            observers: Vec::new(),
-            roster_observers: Vec::new(),
+            directory: None,
             keys: None,
         };
-        let net = start(environment, specs).unwrap();
+        let net = start(environment, specs);
         net.announce();
         let log = Log::default();
         let mut module =

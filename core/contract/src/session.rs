@@ -3,12 +3,9 @@
 use actix::Message;
 use blastema_core::net::ByteRate;
 use blastema_core::net::session::SessionStatus;
+use blastema_core::net::trust::access::AccessPolicy;
 use blastema_core::{Incarnation, NodeName};
-
-/// This node ends in order: what was sent is to be delivered, then every session ends.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
-#[rtype(result = "()")]
-pub struct CloseSessions;
+use bytes::Bytes;
 
 /// Asks for all sessions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
@@ -29,25 +26,50 @@ pub struct SessionRow {
     pub differences: Vec<String>,
 }
 
-/// How another node stands, for those of the middleware that talk to each other across nodes.
+/// What the network tells the directory of this node of the other nodes and their directories.
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
-pub enum PeerStatusChanged {
-    /// A session with it has begun: it can be talked to.
+pub enum DirectoryReport {
+    /// A session with the node is open, and a path leads there.
     Opened {
         /// The node at the other end.
         node: NodeName,
         /// The incarnation of that node.
         incarnation: Incarnation,
     },
-    /// The session has ended, or nothing that it says counts.
+    /// No path leads to the node. The session waits for one.
+    Unreachable {
+        /// The node at the other end.
+        node: NodeName,
+    },
+    /// The session has ended, or nothing that the node says counts.
     Ended {
         /// The node at the other end.
         node: NodeName,
     },
-    /// It says that it ends in order.
+    /// The node says that it ends in order.
     Left {
         /// The node that ends.
         node: NodeName,
     },
+    /// The directory of the node says this.
+    Said {
+        /// The node that says it.
+        node: NodeName,
+        /// The encoded message.
+        message: Bytes,
+    },
+    /// This policy counts from now on.
+    Policy(Box<AccessPolicy>),
+}
+
+/// The directory of this node says this to that of another one. While a session with that node is
+/// open it is delivered once, and in order.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct SendToDirectory {
+    /// The node of the other directory.
+    pub node: NodeName,
+    /// The encoded message.
+    pub message: Bytes,
 }

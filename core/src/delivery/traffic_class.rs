@@ -29,12 +29,11 @@ pub enum TrafficClass {
 /// The contract of replicas.
 const REPLICATION: &str = "blastema/replica";
 /// The contracts that robots stand still without: commands and leases of actuators, who serves,
-/// rosters, claims of names, faults for a recoverer, and the watch of an object of another node.
+/// faults for a recoverer, and the watch of an object of another node.
 /// All of them are small.
 ///
 /// `blastema/serve` and the variables are not among them, for they carry what users send.
-const CONTROL: [&str; 6] = [
-    "blastema/actor-message",
+const CONTROL: [&str; 5] = [
     "blastema/await-end",
     "blastema/command",
     "blastema/recover",

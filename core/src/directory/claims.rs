@@ -5,18 +5,12 @@
 //! count.
 
 use super::types::{ClaimRefused, ClaimRequest, NameClaim, NameHeld};
-use super::{CLAIMS_MAX, ClaimPolicy, Directory, DirectoryKey, DirectoryOutput, Holder};
+use super::{CLAIMS_MAX, ClaimPolicy, Directory, DirectoryKey, DirectoryOutput, Holder, Presence};
 use crate::net::NodeId;
 use crate::net::trust::access::{AccessDenied, AccessPolicy};
 use crate::net::trust::policy::Verb;
 use crate::sorted::SortedMap;
 use crate::{Incarnation, Instant, NodeName, ObjectName};
-
-/// Epochs are below it.
-pub(super) const EPOCH_MAX: u64 = 1 << 62;
-/// The greatest epoch that an incarnation begins with: the milliseconds of its clock times 2^16,
-/// until the year 2527.
-const EPOCH_OF_CLOCKS: u64 = 1 << 60;
 
 /// A claim of this node.
 #[derive(Debug)]
@@ -41,7 +35,7 @@ impl OwnClaim {
 
 /// The epoch before the first of this incarnation.
 pub(super) fn first_epoch(incarnation: Incarnation) -> u64 {
-    incarnation.0.saturating_mul(1 << 16).min(EPOCH_OF_CLOCKS)
+    incarnation.0.saturating_mul(1 << 16)
 }
 
 impl Directory {
@@ -92,9 +86,9 @@ impl Directory {
                 Err(NameHeld { name, holder, epoch }.into())
             }
             (holder, _) => {
-                self.set_own(&name, Some(OwnClaim::waiting(object, policy)));
+                self.set_own(&name, Some(OwnClaim::waiting(object, policy)), now);
                 if holder.is_none() && self.settles.is_none() {
-                    return Ok(self.take(&name));
+                    return Ok(self.take(&name, now));
                 }
                 self.look_at(&name, now);
                 Ok(None)
@@ -103,26 +97,26 @@ impl Directory {
     }
 
     /// An object here gives a name back, or stands by no more.
-    pub fn handle_withdrawn(&mut self, name: &ObjectName) {
-        self.set_own(name, None);
+    pub fn handle_withdrawn(&mut self, name: &ObjectName, now: Instant) {
+        self.set_own(name, None, now);
     }
 
     /// Something new is known of a name: it is shown, and may concern us.
     pub(super) fn look_at(&mut self, name: &ObjectName, now: Instant) {
         let holder = self.holder(name);
-        self.show(name, holder.clone());
+        self.show(name, holder.clone(), now);
         let Some(own) = self.own.get_mut(name) else { return };
         let (policy, ours) = (own.policy, own.epoch);
         match (holder, ours) {
             (Some(Holder { node, epoch, .. }), Some(_)) if node != self.config.node => {
                 let object = own.object.clone();
                 let stands_by = policy == ClaimPolicy::Standby;
-                self.set_own(name, stands_by.then_some(OwnClaim::waiting(object, policy)));
+                self.set_own(name, stands_by.then_some(OwnClaim::waiting(object, policy)), now);
                 let (name, to) = (name.clone(), node);
                 self.outputs.push_back(DirectoryOutput::Lost { name, to, epoch, stands_by });
             }
             (Some(Holder { node: holder, epoch, .. }), None) if policy == ClaimPolicy::Refuse => {
-                self.handle_withdrawn(name);
+                self.handle_withdrawn(name, now);
                 let refused = NameHeld { name: name.clone(), holder, epoch }.into();
                 let name = name.clone();
                 self.outputs.push_back(DirectoryOutput::Refused { name, refused });
@@ -143,14 +137,14 @@ impl Directory {
         }
     }
 
-    fn show(&mut self, name: &ObjectName, holder: Option<Holder>) {
-        if self.shown.get(name) == holder.as_ref() {
+    fn show(&mut self, name: &ObjectName, holder: Option<Holder>, now: Instant) {
+        if self.shown.get(name).map(|(shown, _)| shown) == holder.as_ref() {
             return;
         }
         match &holder {
-            Some(holder) => self.shown.insert(name.clone(), holder.clone()),
-            None => self.shown.remove(name),
-        };
+            Some(holder) => drop(self.shown.insert(name.clone(), (holder.clone(), now))),
+            None => drop(self.shown.remove(name)),
+        }
         self.outputs.push_back(DirectoryOutput::Held { name: name.clone(), holder });
     }
 
@@ -164,25 +158,26 @@ impl Directory {
     }
 
     /// Takes a name that is wanted here and that has no holder.
-    pub(super) fn take(&mut self, name: &ObjectName) -> Option<u64> {
+    pub(super) fn take(&mut self, name: &ObjectName, now: Instant) -> Option<u64> {
         let OwnClaim { object, policy, .. } = self.own.get(name)?;
         let (object, policy) = (object.clone(), *policy);
-        self.last_epoch = (self.last_epoch + 1).min(EPOCH_MAX - 1);
+        self.last_epoch = self.last_epoch.saturating_add(1);
         let epoch = self.last_epoch;
-        self.set_own(name, Some(OwnClaim { object, policy, epoch: Some(epoch), take_at: None }));
+        let granted = OwnClaim { object, policy, epoch: Some(epoch), take_at: None };
+        self.set_own(name, Some(granted), now);
         self.outputs.push_back(DirectoryOutput::Granted { name: name.clone(), epoch });
         Some(epoch)
     }
 
     /// Changes a claim of ours, and tells all nodes.
-    pub(super) fn set_own(&mut self, name: &ObjectName, own: Option<OwnClaim>) {
+    pub(super) fn set_own(&mut self, name: &ObjectName, own: Option<OwnClaim>, now: Instant) {
         let told = own.as_ref().map(|own| own.told_of(name));
         match own {
             Some(own) => drop(self.own.insert(name.clone(), own)),
             None => drop(self.own.remove(name)),
         }
         self.record(vec![(DirectoryKey::Name(name.clone()), told)]);
-        self.show(name, self.holder(name));
+        self.show(name, self.holder(name), now);
     }
 
     /// From now on this policy counts, for what is claimed already as well.
@@ -192,23 +187,20 @@ impl Directory {
         for name in &names {
             let node = self.config.node.clone();
             if let Err(denied) = self.may_claim(&node, name) {
-                self.handle_withdrawn(name);
+                self.handle_withdrawn(name, now);
                 let (name, refused) = (name.clone(), ClaimRefused::from(&*denied));
                 self.outputs.push_back(DirectoryOutput::Refused { name, refused });
             }
         }
-        let told = self.peers.iter().flat_map(|(node, peer)| {
-            peer.table.records.iter().map(|(key, claim)| (node.clone(), key.clone(), claim.clone()))
+        let peers = self.peers.iter().filter(|(_, peer)| peer.presence != Presence::Gone);
+        let told = peers.flat_map(|(node, peer)| {
+            peer.records.iter().map(|(key, claim)| (node.clone(), key.clone(), claim.clone()))
         });
         let told: Vec<_> = told.collect();
         for (node, key, claim) in told {
-            match key {
-                DirectoryKey::Name(name) => {
-                    self.believe(&node, &name, claim);
-                    names.push(name);
-                }
-                DirectoryKey::Object(_) => {}
-                DirectoryKey::Publisher { .. } => self.show_record(&node, key),
+            if let DirectoryKey::Name(name) = key {
+                self.believe(&node, &name, claim);
+                names.push(name);
             }
         }
         names.iter().for_each(|name| self.look_at(name, now));
@@ -238,21 +230,13 @@ impl Directory {
         }
     }
 
-    /// A node has told of an object, or of a publisher, which counts if it may publish there.
-    pub(super) fn show_record(&mut self, node: &NodeName, key: DirectoryKey) {
-        let may_publish = |policy: &AccessPolicy| match &key {
-            DirectoryKey::Publisher { topic, contract } => {
-                let node = NodeId::of(node);
-                policy.check(node, Verb::Publish, topic.as_str(), contract).is_ok()
-            }
-            DirectoryKey::Object(_) | DirectoryKey::Name(_) => true,
-        };
-        let counts = self.access.as_ref().is_none_or(may_publish);
-        let node = node.clone();
-        self.outputs.push_back(match counts {
-            true => DirectoryOutput::RecordAdded { node, key },
-            false => DirectoryOutput::RecordRemoved { node, key },
-        });
+    /// Whether a node has what it has told: not a publisher where it may not publish.
+    pub(super) fn has(&self, node: &NodeName, key: &DirectoryKey) -> bool {
+        let DirectoryKey::Publisher { topic, contract } = key else { return true };
+        let node = NodeId::of(node);
+        self.access.as_ref().is_none_or(|policy| {
+            policy.check(node, Verb::Publish, topic.as_str(), contract).is_ok()
+        })
     }
 
     /// Whether a node, this one or another, may claim a name.

@@ -6,27 +6,21 @@
 //! say.)
 //!
 //! ```text
-//!  session begins      All (in parts)        everything the node has
-//!  something changes   Changed               what came and went
-//!  a quarter of the    Alive                 a sum over the records: a node with another sum asks
-//!  lease has passed                          for all of them (TellAll); rarely, where no name is
-//!                                            claimed
+//!  a session or path begins     All (in parts)     everything the node has
+//!  something changes            Changed            what came and went
 //! ```
 //!
-//! Records are void once the session with their node has ended and a lease has passed since it was
-//! last heard of.
+//! A session delivers each message once and in order, so that none is repeated. Records are void a
+//! lease after the last path to their node was lost, or the session with it. When the path is back
+//! within the same session they count again.
 //!
 //! An object's address names its node. A *claim* is of a name without one, such as `map`: one node
-//! holds it, others may stand by, and all know who does. What a node claims holds for a lease after
-//! it was last heard of. Every claim that is granted has an epoch, greater than any that its node
+//! holds it, others may stand by, and all know who does. Every claim that is granted has an epoch, greater than any that its node
 //! has seen; of two holders of one name, as two halves of a network may bring them forth, the one
 //! of the greater epoch stays, and of equal ones the first by name. A node that has just started
 //! grants itself nothing until it has heard the others, so that it takes no name from its holder.
 //! That is enough for finding things. Where two at a time would do harm, use a service, which needs
 //! a majority.
-//!
-//! An epoch of 2^62 or more is refused, so that a claim always has a greater one after it. The
-//! policy says which nodes may claim: one that claims to spend epochs is not given the right.
 
 pub use self::types::{
     ClaimPolicy, ClaimRefused, ClaimRequest, DirectoryConfig, DirectoryKey, DirectoryOutput,
@@ -59,47 +53,26 @@ pub const NAMES_MAX: usize = 100_000;
 #[derive(Debug)]
 struct DirectoryPeer {
     incarnation: Incarnation,
-    /// A session is open.
-    open: bool,
-    received_at: Instant,
-    table: RecordTable,
+    presence: Presence,
+    /// The session with it has ended: what comes next tells everything.
+    ended: bool,
+    records: SortedMap<DirectoryKey, NameClaim>,
     /// Which of them it has told of since it began to tell all of them.
     telling: Option<SortedSet<DirectoryKey>>,
     /// It has told all of them.
     complete: bool,
-    /// When it was last asked for everything.
-    asked: Option<Instant>,
-    /// When it was last told everything.
-    sent_all_at: Instant,
     refusals: Refusals,
 }
 
-impl DirectoryPeer {
-    /// Names are the last of all keys.
-    fn claims_names(&self) -> bool {
-        let last = self.table.records.last_key_value();
-        last.is_some_and(|(key, _)| matches!(key, DirectoryKey::Name(_)))
-    }
-}
-
-/// The records of one node, and a sum over them.
-#[derive(Debug, Default)]
-struct RecordTable {
-    records: SortedMap<DirectoryKey, NameClaim>,
-    sum: u64,
-}
-
-impl RecordTable {
-    /// Sets a record, or removes it. Returns the one before.
-    fn set(&mut self, key: &DirectoryKey, claim: Option<&NameClaim>) -> Option<NameClaim> {
-        let before = match claim {
-            Some(claim) => self.records.insert(key.clone(), claim.clone()),
-            None => self.records.remove(key),
-        };
-        let sum = |claim: Option<&NameClaim>| claim.map_or(0, |claim| claim.sum(key));
-        self.sum = self.sum.wrapping_add(sum(claim)).wrapping_sub(sum(before.as_ref()));
-        before
-    }
+/// Whether a node's records count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Presence {
+    /// They do.
+    Here,
+    /// The node cannot be reached; they count until then.
+    Away { until: Instant },
+    /// They do not, until the node is back.
+    Gone,
 }
 
 /// The records of all nodes, as one node knows them.
@@ -109,21 +82,17 @@ pub struct Directory {
     /// What this node claims.
     own: SortedMap<ObjectName, OwnClaim>,
     /// What others are told of this node.
-    table: RecordTable,
+    records: SortedMap<DirectoryKey, NameClaim>,
     peers: SortedMap<NodeName, DirectoryPeer>,
     /// Who has claimed which name, or stands by.
     known: SortedMap<ObjectName, SortedMap<NodeName, NameClaim>>,
-    /// Who was last told to hold which.
-    shown: SortedMap<ObjectName, Holder>,
+    /// Who was last told to hold which, and when.
+    shown: SortedMap<ObjectName, (Holder, Instant)>,
     last_epoch: u64,
-    /// When the others were last told that this node is alive.
-    renewed_at: Instant,
     /// Which nodes may claim which names; without one, all may.
     access: Option<AccessPolicy>,
     /// Until then nothing is granted; `None` once that is over.
     settles: Option<Instant>,
-    /// In the place of another machine of the same incarnation: it has forgotten what it was told.
-    forgetful: bool,
     outputs: VecDeque<DirectoryOutput>,
 }
 
@@ -137,36 +106,73 @@ impl Directory {
         Directory {
             config,
             own: SortedMap::new(),
-            table: RecordTable::default(),
+            records: SortedMap::new(),
             peers: SortedMap::new(),
             known: SortedMap::new(),
             shown: SortedMap::new(),
             last_epoch,
-            renewed_at: now,
             access: None,
             settles,
-            forgetful: false,
             outputs: VecDeque::new(),
         }
     }
 
-    /// A directory in the place of another of the same incarnation that was lost: with what that
-    /// incarnation claims, and under which epochs. What others have, they are asked when their
-    /// sessions are told of again.
-    pub fn restarted(
-        config: DirectoryConfig,
-        own: impl IntoIterator<Item = (ClaimRequest, Option<u64>)>,
-        now: Instant,
-    ) -> Self {
-        // Two chances to hear what the others have, should the first be missed.
-        let settle = config.lease / 2;
-        let mut directory = Directory::new(DirectoryConfig { settle, ..config }, now);
-        directory.forgetful = true;
-        for (ClaimRequest { name, object, policy }, epoch) in own {
-            directory.last_epoch = directory.last_epoch.max(epoch.unwrap_or_default());
-            directory.set_own(&name, Some(OwnClaim { object, policy, epoch, take_at: None }));
+    /// A directory in the place of this one, which has panicked: with what this node claims, and
+    /// under which epochs, and with what others have told. It tells all of them everything again.
+    pub fn rebuilt(mut self, now: Instant) -> Self {
+        self.known.clear();
+        self.shown.clear();
+        self.outputs.clear();
+        let own: Vec<_> = self.own.iter().map(|(name, own)| (name.clone(), own.epoch)).collect();
+        for (name, epoch) in own {
+            if let Some(epoch) = epoch {
+                let name = name.clone();
+                self.outputs.push_back(DirectoryOutput::Granted { name, epoch });
+            }
+            self.look_at(&name, now);
         }
-        directory
+        let peers: Vec<_> =
+            self.peers.iter().map(|(node, peer)| (node.clone(), peer.presence)).collect();
+        for (node, presence) in peers {
+            if presence != Presence::Gone {
+                self.count_claims(&node, now);
+            }
+            if presence == Presence::Here {
+                self.tell_all(&node);
+            }
+        }
+        self
+    }
+
+    /// The incarnation of a node that is known, this one or another.
+    pub fn incarnation_of(&self, node: &NodeName) -> Incarnation {
+        match self.peers.get(node) {
+            Some(peer) => peer.incarnation,
+            None if *node == self.config.node => self.config.incarnation,
+            None => Incarnation::default(),
+        }
+    }
+
+    /// The names that are held, here and elsewhere: by which node, and since when this one knows.
+    pub fn holders(&self) -> impl Iterator<Item = (&ObjectName, &Holder, Instant)> {
+        self.shown.iter().map(|(name, (holder, since))| (name, holder, *since))
+    }
+
+    /// The other nodes that can be reached, and what each has.
+    pub fn nodes(
+        &self,
+    ) -> impl Iterator<Item = (&NodeName, Incarnation, impl Iterator<Item = &DirectoryKey>)> {
+        let here = self.peers.iter().filter(|(_, peer)| peer.presence == Presence::Here);
+        here.map(|(node, peer)| {
+            (node, peer.incarnation, peer.records.keys().filter(|key| self.has(node, key)))
+        })
+    }
+
+    /// The other nodes that can be reached and have this.
+    pub fn nodes_with(&self, key: &DirectoryKey) -> Vec<NodeName> {
+        let here = self.peers.iter().filter(|(_, peer)| peer.presence == Presence::Here);
+        let having = here.filter(|(_, peer)| peer.records.contains_key(key));
+        having.map(|(node, _)| node).filter(|node| self.has(node, key)).cloned().collect()
     }
 
     /// What was refused of each node: more records than one may have, and nonsense.
@@ -185,48 +191,61 @@ impl Directory {
         let present = present.into_iter().take(PRESENT_MAX).take_while(fits);
         let present: SortedSet<DirectoryKey> = present.collect();
         let beyond = all - present.len();
-        let told = self.table.records.keys().filter(|key| !matches!(key, DirectoryKey::Name(_)));
+        let told = self.records.keys().filter(|key| !matches!(key, DirectoryKey::Name(_)));
         let gone: Vec<_> = told.filter(|key| !present.contains(*key)).cloned().collect();
-        let new = present.into_iter().filter(|key| !self.table.records.contains_key(key));
+        let new = present.into_iter().filter(|key| !self.records.contains_key(key));
         let new: Vec<_> = new.map(|key| (key, Some(NameClaim::default()))).collect();
         self.record(gone.into_iter().map(|key| (key, None)).chain(new).collect());
         beyond
     }
 
-    /// A session with a node has begun: it is told everything again, whatever it knew.
+    /// A session with a node is open, and a path leads there: it is told everything again,
+    /// whatever it knew.
     pub fn handle_opened(&mut self, node: NodeName, incarnation: Incarnation, now: Instant) {
         if self.peers.get(&node).is_some_and(|peer| peer.incarnation != incarnation) {
             self.handle_left(&node, now);
         }
         let fresh = DirectoryPeer {
             incarnation,
-            open: true,
-            received_at: now,
-            table: RecordTable::default(),
+            presence: Presence::Here,
+            ended: false,
+            records: SortedMap::new(),
             telling: None,
             complete: false,
-            asked: None,
-            sent_all_at: now,
             refusals: Refusals::default(),
         };
         let peer = self.peers.entry(node.clone()).or_insert(fresh);
-        (peer.open, peer.received_at, peer.telling) = (true, now, None);
-        self.tell_all(&node, now);
-        if self.forgetful {
-            self.ask_for_all(node);
+        peer.ended = false;
+        if std::mem::replace(&mut peer.presence, Presence::Here) == Presence::Gone {
+            self.count_claims(&node, now);
+        }
+        self.tell_all(&node);
+    }
+
+    /// No path leads to a node: its records hold for a lease.
+    pub fn handle_unreachable(&mut self, node: &NodeName, now: Instant) {
+        let until = now + self.config.lease;
+        if let Some(peer) = self.peers.get_mut(node)
+            && peer.presence == Presence::Here
+        {
+            peer.presence = Presence::Away { until };
         }
     }
 
-    /// The session with a node has ended. Its records hold until their lease is over.
-    pub fn handle_ended(&mut self, node: &NodeName) {
-        if let Some(peer) = self.peers.get_mut(node) {
-            peer.open = false;
+    /// The session with a node has ended: its records hold for a lease after that, or after the
+    /// path was lost.
+    pub fn handle_ended(&mut self, node: &NodeName, now: Instant) {
+        self.handle_unreachable(node, now);
+        let Some(peer) = self.peers.get_mut(node) else { return };
+        peer.ended = true;
+        if peer.presence == Presence::Gone {
+            self.handle_left(node, now);
         }
     }
 
     /// A node has ended in order, or was restarted: its records are void.
     pub fn handle_left(&mut self, node: &NodeName, now: Instant) {
-        self.clear(node, now, |_| true);
+        self.clear(node, now);
         self.peers.remove(node);
     }
 }

@@ -1,9 +1,9 @@
 //! What nodes tell each other of their records.
 
-use super::claims::EPOCH_MAX;
 use super::types::{DirectoryMessage, DirectoryRecord, NameClaim};
 use super::{
     CLAIMS_MAX, Directory, DirectoryKey, DirectoryOutput, DirectoryPeer, NAMES_MAX, PRESENT_MAX,
+    Presence,
 };
 use crate::contract::codec;
 use crate::sorted::SortedSet;
@@ -18,12 +18,11 @@ pub(super) const MESSAGE_MAX: usize = 64 * 1024;
 impl Directory {
     /// A node tells something.
     pub fn handle_message(&mut self, from: &NodeName, message: &[u8], now: Instant) {
-        let Some(peer) = self.peers.get_mut(from).filter(|peer| peer.open) else { return };
+        let Some(peer) = self.peers.get_mut(from) else { return };
         let Ok(message) = codec::decode_bounded::<DirectoryMessage, MESSAGE_MAX>(message) else {
             peer.refusals.malformed += 1;
             return;
         };
-        peer.received_at = now;
         match message {
             DirectoryMessage::All { first, last, records } => {
                 self.hear_all(from, (first, last), records, now)
@@ -32,19 +31,6 @@ impl Directory {
                 gone.iter().for_each(|key| self.unhear(from, key, now));
                 records.into_iter().for_each(|record| self.hear(from, record, now));
             }
-            DirectoryMessage::Alive { sum } => {
-                let again = self.config.lease / 4;
-                let patient = peer.asked.is_some_and(|asked| now - asked < again);
-                if sum != peer.table.sum && !patient {
-                    peer.asked = Some(now);
-                    self.ask_for_all(from.clone());
-                }
-            }
-            // However often it asks: everything may be megabytes.
-            DirectoryMessage::TellAll if now < peer.sent_all_at + self.config.lease / 8 => {
-                peer.refusals.unexpected += 1;
-            }
-            DirectoryMessage::TellAll => self.tell_all(from, now),
         }
     }
 
@@ -63,9 +49,9 @@ impl Directory {
         records.into_iter().for_each(|record| self.hear(from, record, now));
         let Some(peer) = self.peers.get_mut(from).filter(|_| last) else { return };
         let Some(told) = peer.telling.take() else { return };
-        (peer.asked, peer.complete) = (None, true);
+        peer.complete = true;
         let gone: Vec<_> =
-            peer.table.records.keys().filter(|key| !told.contains(*key)).cloned().collect();
+            peer.records.keys().filter(|key| !told.contains(*key)).cloned().collect();
         gone.iter().for_each(|key| self.unhear(from, key, now));
         let complete = |node| self.peers.get(node).is_some_and(|peer| peer.complete);
         if !self.config.expected.is_empty() && self.config.expected.iter().all(complete) {
@@ -82,9 +68,9 @@ impl Directory {
             }
             DirectoryKey::Object(_) | DirectoryKey::Publisher { .. } => false,
         };
-        let records = &peer.table.records;
+        let records = &peer.records;
         let full = full || records.len() >= CLAIMS_MAX + PRESENT_MAX && !records.contains_key(&key);
-        let malformed = claim.epoch.is_some_and(|epoch| epoch >= EPOCH_MAX) || !key.is_short();
+        let malformed = !key.is_short();
         if full || malformed {
             peer.refusals.too_large += u64::from(full);
             peer.refusals.malformed += u64::from(malformed);
@@ -93,48 +79,51 @@ impl Directory {
         if let Some(telling) = &mut peer.telling {
             telling.insert(key.clone());
         }
-        if peer.table.set(&key, Some(&claim)).as_ref() == Some(&claim) {
-            return;
+        let before = peer.records.insert(key.clone(), claim.clone());
+        if before.as_ref() != Some(&claim)
+            && peer.presence != Presence::Gone
+            && let DirectoryKey::Name(name) = &key
+        {
+            self.believe(from, name, claim);
+            self.look_at(name, now);
         }
-        match &key {
-            DirectoryKey::Name(name) => {
-                self.believe(from, name, claim);
-                self.look_at(name, now);
+    }
+
+    /// All that a node claims counts from now on.
+    pub(super) fn count_claims(&mut self, from: &NodeName, now: Instant) {
+        let records = self.peers.get(from).map(|peer| peer.records.clone());
+        for (key, claim) in records.into_iter().flatten() {
+            if let DirectoryKey::Name(name) = key {
+                self.believe(from, &name, claim);
+                self.look_at(&name, now);
             }
-            DirectoryKey::Object(_) | DirectoryKey::Publisher { .. } => self.show_record(from, key),
         }
     }
 
     pub(super) fn unhear(&mut self, from: &NodeName, key: &DirectoryKey, now: Instant) {
         let Some(peer) = self.peers.get_mut(from) else { return };
-        if peer.table.set(key, None).is_none() {
+        if peer.records.remove(key).is_none() {
             return;
         }
         if let Some(telling) = &mut peer.telling {
             telling.remove(key);
         }
-        match key {
-            DirectoryKey::Name(name) => {
-                self.disbelieve(from, name);
-                self.look_at(name, now);
-            }
-            DirectoryKey::Object(_) | DirectoryKey::Publisher { .. } => {
-                let (node, key) = (from.clone(), key.clone());
-                self.outputs.push_back(DirectoryOutput::RecordRemoved { node, key });
-            }
+        self.discount(from, key, now);
+    }
+
+    /// A record counts no more.
+    fn discount(&mut self, from: &NodeName, key: &DirectoryKey, now: Instant) {
+        if let DirectoryKey::Name(name) = key {
+            self.disbelieve(from, name);
+            self.look_at(name, now);
         }
     }
 
-    /// Forgets these records of a node.
-    pub(super) fn clear(
-        &mut self,
-        node: &NodeName,
-        now: Instant,
-        is_cleared: impl Fn(&DirectoryKey) -> bool,
-    ) {
-        let records = self.peers.get(node).into_iter().flat_map(|peer| peer.table.records.keys());
-        let keys: Vec<_> = records.filter(|key| is_cleared(key)).cloned().collect();
-        keys.iter().for_each(|key| self.unhear(node, key, now));
+    /// The records of a node count no more.
+    pub(super) fn clear(&mut self, node: &NodeName, now: Instant) {
+        let records = self.peers.get(node).into_iter().flat_map(|peer| peer.records.keys());
+        let keys: Vec<_> = records.cloned().collect();
+        keys.iter().for_each(|key| self.discount(node, key, now));
     }
 
     /// Changes records of ours, and tells all nodes.
@@ -142,7 +131,11 @@ impl Directory {
         for part in changes.chunks(RECORDS_PER_MESSAGE) {
             let (mut records, mut gone) = (Vec::new(), Vec::new());
             for (key, claim) in part.iter().cloned() {
-                if self.table.set(&key, claim.as_ref()) == claim {
+                let before = match &claim {
+                    Some(claim) => self.records.insert(key.clone(), claim.clone()),
+                    None => self.records.remove(&key),
+                };
+                if before == claim {
                     continue;
                 }
                 match claim {
@@ -156,25 +149,16 @@ impl Directory {
         }
     }
 
-    /// Tells all nodes that this one is alive, and what its records add up to.
-    pub(super) fn renew(&mut self, now: Instant) {
-        self.renewed_at = now;
-        self.tell_everybody(&DirectoryMessage::Alive { sum: self.table.sum });
-    }
-
     fn tell_everybody(&mut self, message: &DirectoryMessage) {
         let message = Bytes::from(codec::encode_unbounded(message));
-        for (node, _) in self.peers.iter().filter(|(_, peer)| peer.open) {
+        for (node, _) in self.peers.iter().filter(|(_, peer)| peer.presence == Presence::Here) {
             let (to, message) = (node.clone(), message.clone());
             self.outputs.push_back(DirectoryOutput::Send { to, message });
         }
     }
 
-    pub(super) fn tell_all(&mut self, to: &NodeName, now: Instant) {
-        if let Some(peer) = self.peers.get_mut(to) {
-            peer.sent_all_at = now;
-        }
-        let all = self.table.records.iter();
+    pub(super) fn tell_all(&mut self, to: &NodeName) {
+        let all = self.records.iter();
         let all =
             all.map(|(key, claim)| DirectoryRecord { key: key.clone(), claim: claim.clone() });
         let all: Vec<DirectoryRecord> = all.collect();
@@ -185,32 +169,21 @@ impl Directory {
         let count = parts.len();
         for (n, records) in parts.into_iter().enumerate() {
             let message = DirectoryMessage::All { first: n == 0, last: n + 1 == count, records };
-            self.send(to.clone(), &message);
+            let (to, message) = (to.clone(), codec::encode_unbounded(&message).into());
+            self.outputs.push_back(DirectoryOutput::Send { to, message });
         }
     }
 
-    pub(super) fn ask_for_all(&mut self, node: NodeName) {
-        self.send(node, &DirectoryMessage::TellAll);
-    }
-
-    fn send(&mut self, to: NodeName, message: &DirectoryMessage) {
-        let message = codec::encode_unbounded(message).into();
-        self.outputs.push_back(DirectoryOutput::Send { to, message });
-    }
-
-    /// Ends what nodes have told that have not renewed it.
+    /// Ends what nodes have told that could not be reached for a lease.
     pub(super) fn expire_leases(&mut self, now: Instant) {
-        let lapsed = |peer: &DirectoryPeer| now >= peer.received_at + self.config.lease;
+        let lapsed = |peer: &DirectoryPeer| matches!(peer.presence, Presence::Away { until } if now >= until);
         let gone = self.peers.iter().filter(|(_, peer)| lapsed(peer));
-        let gone: Vec<_> = gone.map(|(node, peer)| (node.clone(), peer.open)).collect();
-        for (node, open) in gone {
-            match self.peers.get_mut(&node).filter(|_| open) {
-                // It may speak again; then its sum differs, and it is asked.
-                Some(peer) => {
-                    peer.received_at = now;
-                    self.clear(&node, now, |key| matches!(key, DirectoryKey::Name(_)));
-                }
-                None => self.handle_left(&node, now),
+        let gone: Vec<_> = gone.map(|(node, _)| node.clone()).collect();
+        for node in gone {
+            self.clear(&node, now);
+            match self.peers.get_mut(&node).filter(|peer| !peer.ended) {
+                Some(peer) => peer.presence = Presence::Gone,
+                None => drop(self.peers.remove(&node)),
             }
         }
     }

@@ -2,7 +2,7 @@
 
 use crate::net::trust::access::AccessDenied;
 use crate::sorted::SortedSet;
-use crate::{Incarnation, NodeName, ObjectName, hash};
+use crate::{Incarnation, NodeName, ObjectName};
 use bytes::Bytes;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -24,9 +24,8 @@ pub struct DirectoryConfig {
     pub node: NodeName,
     /// The present incarnation of this node.
     pub incarnation: Incarnation,
-    /// How long records hold after their node was last heard of; one that claims names is heard of
-    /// four times as often. Longer costs less traffic, and keeps the names of a node that died for
-    /// longer.
+    /// How long records hold after the last path to their node was lost. Longer rides out longer
+    /// outages, and keeps the names of a node that died for longer.
     pub lease: Duration,
     /// How long after our start nothing is granted here, so that who holds a name already is heard
     /// first. Longer waits for slower networks; a name without a holder is granted later.
@@ -155,20 +154,6 @@ pub enum DirectoryOutput {
         /// We stand by for it from now on.
         stands_by: bool,
     },
-    /// A node has an object, or a publisher. It may be said again.
-    RecordAdded {
-        /// The node that has it.
-        node: NodeName,
-        /// The object or publisher.
-        key: DirectoryKey,
-    },
-    /// A node has it no more. It may be said again.
-    RecordRemoved {
-        /// The node that had it.
-        node: NodeName,
-        /// The object or publisher.
-        key: DirectoryKey,
-    },
     /// A name has another holder than before, or none.
     Held {
         /// The global name.
@@ -183,8 +168,6 @@ pub enum DirectoryOutput {
 pub(super) enum DirectoryMessage {
     All { first: bool, last: bool, records: Vec<DirectoryRecord> },
     Changed { records: Vec<DirectoryRecord>, gone: Vec<DirectoryKey> },
-    Alive { sum: u64 },
-    TellAll,
 }
 
 /// What a record is of.
@@ -217,16 +200,11 @@ impl DirectoryKey {
 
     /// How many bytes it takes in a message, about.
     pub(super) fn bytes(&self) -> usize {
-        let (_, name, contract) = self.parts();
-        name.len() + contract.len() + 6
-    }
-
-    fn parts(&self) -> (u8, &str, &str) {
-        match self {
-            DirectoryKey::Object(name) => (0, name.as_str(), ""),
-            DirectoryKey::Publisher { topic, contract } => (1, topic.as_str(), contract),
-            DirectoryKey::Name(name) => (2, name.as_str(), ""),
-        }
+        let (name, contract) = match self {
+            DirectoryKey::Object(name) | DirectoryKey::Name(name) => (name, ""),
+            DirectoryKey::Publisher { topic, contract } => (topic, contract.as_str()),
+        };
+        name.as_str().len() + contract.len() + 6
     }
 }
 
@@ -244,16 +222,4 @@ pub(super) struct NameClaim {
     pub(super) epoch: Option<u64>,
     /// The object that is meant, where it is not called as the name is.
     pub(super) object: Option<ObjectName>,
-}
-
-impl NameClaim {
-    /// A hash of the record.
-    pub(super) fn sum(&self, key: &DirectoryKey) -> u64 {
-        let (kind, name, contract) = key.parts();
-        let epoch = self.epoch.unwrap_or_default().to_le_bytes();
-        let object = self.object.as_ref().map_or("", ObjectName::as_str);
-        let texts =
-            name.bytes().chain([0]).chain(contract.bytes()).chain([0]).chain(object.bytes());
-        hash::of([kind].into_iter().chain(epoch).chain(texts))
-    }
 }

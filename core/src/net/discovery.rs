@@ -5,12 +5,11 @@
 //! one that was down for long is forgotten.
 //!
 //! A beacon without keys proves nothing: how many addresses are tried at a time, and how many are
-//! kept in all, is bounded for every network. Those beyond the bound are counted.
+//! kept in all, is bounded. Those beyond the bound are counted.
 
 use super::wire::Refusals;
 use crate::sorted::{SortedMap, SortedSet};
-use crate::timer::Timers;
-use crate::{Instant, Machine, NodeName};
+use crate::{Instant, NodeName};
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -41,13 +40,13 @@ impl DiscoveryAdmission {
     }
 }
 
-/// How neighbours are learned.
+/// How neighbours are learned on one network.
 #[derive(Clone, Debug)]
 pub struct DiscoveryConfig {
     /// The name of this node.
     pub node: NodeName,
-    /// Who is admitted on each network, by the network's place.
-    pub admissions: Vec<DiscoveryAdmission>,
+    /// Who is admitted.
+    pub admission: DiscoveryAdmission,
     /// How long what was learned may take to prove itself; after that it is not tried again for six
     /// times as long. Longer suits slow media; a forged address is sent hellos for as long.
     pub prove_within: Duration,
@@ -58,10 +57,10 @@ pub struct DiscoveryConfig {
 
 impl DiscoveryConfig {
     /// The usual behaviour for this node.
-    pub fn new(node: NodeName, admissions: Vec<DiscoveryAdmission>) -> Self {
+    pub fn new(node: NodeName, admission: DiscoveryAdmission) -> Self {
         DiscoveryConfig {
             node,
-            admissions,
+            admission,
             // A link that has failed often needs 48 hellos, of 50 ms: and as much again.
             prove_within: Duration::from_secs(5),
             forget_after: Duration::from_secs(600),
@@ -74,8 +73,6 @@ impl DiscoveryConfig {
 pub enum DiscoveryOutput {
     /// Make a link.
     Connect {
-        /// The network, by its place.
-        domain: usize,
         /// The node at the link's other end.
         node: NodeName,
         /// Where its beacon says that it is, as its medium writes it.
@@ -83,8 +80,6 @@ pub enum DiscoveryOutput {
     },
     /// Give a link up that was made.
     Disconnect {
-        /// The network, by its place.
-        domain: usize,
         /// The node at the link's other end.
         node: NodeName,
     },
@@ -110,13 +105,13 @@ enum Origin {
     Learned,
 }
 
-/// The neighbours of one node, described and learned.
+/// The neighbours of one node on one network, described and learned.
 #[derive(Debug)]
 pub struct Discovery {
     config: DiscoveryConfig,
-    neighbours: SortedMap<(usize, NodeName), KnownNeighbour>,
+    neighbours: SortedMap<NodeName, KnownNeighbour>,
     /// Addresses that did not prove themselves, and until when they are not tried.
-    failed: SortedMap<(usize, String), Instant>,
+    failed: SortedMap<String, Instant>,
     refusals: Refusals,
     outputs: VecDeque<DiscoveryOutput>,
 }
@@ -138,11 +133,11 @@ impl Discovery {
         self.refusals
     }
 
-    /// A link to a neighbour of a network is up, or is not: it was described, or has gone down.
-    pub fn handle_link(&mut self, at: (usize, NodeName), address: String, up: bool, now: Instant) {
+    /// A link to a neighbour is up, or is not: it was described, or has gone down.
+    pub fn handle_link(&mut self, node: NodeName, address: String, up: bool, now: Instant) {
         let origin = Origin::Described;
         let fresh = KnownNeighbour { address, up: false, since: now, origin };
-        let known = self.neighbours.entry(at).or_insert(fresh);
+        let known = self.neighbours.entry(node).or_insert(fresh);
         if known.up != up {
             (known.up, known.since) = (up, now);
             if known.origin == Origin::Tried {
@@ -152,9 +147,9 @@ impl Discovery {
     }
 
     /// This one was learned by the machine before this, and has a link.
-    pub fn handle_learned(&mut self, domain: usize, node: NodeName, address: String, now: Instant) {
+    pub fn handle_learned(&mut self, node: NodeName, address: String, now: Instant) {
         let known = KnownNeighbour { address, up: false, since: now, origin: Origin::Learned };
-        self.neighbours.insert((domain, node), known);
+        self.neighbours.insert(node, known);
     }
 
     /// A beacon that could not be read.
@@ -163,30 +158,26 @@ impl Discovery {
     }
 
     /// The beacon of a node says where it is.
-    pub fn handle_beacon(&mut self, domain: usize, node: NodeName, address: String, now: Instant) {
-        let is_admitted = |admission: &DiscoveryAdmission| admission.admits(&node);
-        if node == self.config.node || !self.config.admissions.get(domain).is_some_and(is_admitted)
-        {
+    pub fn handle_beacon(&mut self, node: NodeName, address: String, now: Instant) {
+        if node == self.config.node || !self.config.admission.admits(&node) {
             return;
         }
-        if self.failed.get(&(domain, address.clone())).is_some_and(|until| now < *until) {
+        if self.failed.get(&address).is_some_and(|until| now < *until) {
             return;
         }
-        let key = (domain, node.clone());
-        match self.neighbours.get(&key) {
+        match self.neighbours.get(&node) {
             None => {}
             Some(known) if known.origin == Origin::Described || known.up => return,
             Some(known) if known.address == address => return,
             // It has been away for a while, and may have come back elsewhere.
             Some(known) if now < known.since + self.config.prove_within => return,
             Some(_) => {
-                self.neighbours.remove(&key);
-                self.outputs.push_back(DiscoveryOutput::Disconnect { domain, node: node.clone() });
+                self.neighbours.remove(&node);
+                self.outputs.push_back(DiscoveryOutput::Disconnect { node: node.clone() });
             }
         }
         let here = |origins: &[Origin]| {
-            let all = self.neighbours.iter();
-            all.filter(|((n, _), known)| *n == domain && origins.contains(&known.origin)).count()
+            self.neighbours.values().filter(|known| origins.contains(&known.origin)).count()
         };
         let full = here(&[Origin::Tried, Origin::Learned]) >= LEARNED_MAX;
         if full || here(&[Origin::Tried]) >= TRIED_MAX {
@@ -194,18 +185,41 @@ impl Discovery {
             return;
         }
         let (up, since, origin) = (false, now, Origin::Tried);
-        self.neighbours.insert(key, KnownNeighbour { address: address.clone(), up, since, origin });
-        self.outputs.push_back(DiscoveryOutput::Connect { domain, node, address });
+        let known = KnownNeighbour { address: address.clone(), up, since, origin };
+        self.neighbours.insert(node.clone(), known);
+        self.outputs.push_back(DiscoveryOutput::Connect { node, address });
     }
 
-    fn fail(&mut self, domain: usize, address: String, now: Instant) {
+    fn fail(&mut self, address: String, now: Instant) {
         if self.failed.len() >= FAILED_MAX
             && let Some(first) = self.failed.iter().min_by_key(|(_, until)| **until)
         {
             let first = first.0.clone();
             self.failed.remove(&first);
         }
-        self.failed.insert((domain, address), now + self.config.prove_within * 6);
+        self.failed.insert(address, now + self.config.prove_within * 6);
+    }
+
+    /// The next thing to do, in order.
+    pub fn poll_output(&mut self) -> Option<DiscoveryOutput> {
+        self.outputs.pop_front()
+    }
+
+    /// Time passes: a neighbour that has not proved to be there is given up, and one that was down
+    /// for long is forgotten.
+    pub fn handle_time(&mut self, now: Instant) {
+        self.failed.retain(|_, until| now < *until);
+        let is_over = |end: Option<Instant>| end.is_some_and(|end| now >= end);
+        let gone = self.neighbours.iter().filter(|(_, known)| is_over(self.ends(known)));
+        let gone: Vec<_> =
+            gone.map(|(node, known)| (node.clone(), known.address.clone(), known.origin)).collect();
+        for (node, address, origin) in gone {
+            self.neighbours.remove(&node);
+            if origin == Origin::Tried {
+                self.fail(address, now);
+            }
+            self.outputs.push_back(DiscoveryOutput::Disconnect { node });
+        }
     }
 
     /// When it is given up as what it is now; never what was described, nor who is up.
@@ -218,22 +232,5 @@ impl Discovery {
     }
 }
 
-impl Machine for Discovery {
-    type Output = DiscoveryOutput;
-
-    fn poll_output(&mut self) -> Option<DiscoveryOutput> {
-        self.outputs.pop_front()
-    }
-
-    fn poll_timeout(&self) -> Option<Instant> {
-        self.next_due()
-    }
-
-    fn handle_timeout(&mut self, now: Instant) {
-        self.fire_due(now);
-    }
-}
-
 #[cfg(test)]
 mod tests;
-mod timers;

@@ -66,7 +66,7 @@ fn a_flood_of_forged_beacons_is_a_fault_and_harms_nobody() {
 
         let mut faults = one.fault_events();
         let liar = Liar::start(group);
-        let is_here = |fault: &Fault| fault.location.to_string() == "module1:net/discovery";
+        let is_here = |fault: &Fault| fault.location.to_string() == "module1:net/links/ethernet";
         let fault = next_fault(&mut faults, is_here, "it is named").await;
         drop(liar);
         assert_eq!(fault.kind, FaultKind::CheckFailed);

@@ -25,10 +25,6 @@ impl StubFactory for Mirror {
     fn is_reachable(&self, _: &NodeName) -> bool {
         true
     }
-
-    fn opening(&self, _: &NodeName) -> Pin<Box<dyn Future<Output = ()> + Send>> {
-        Box::pin(std::future::pending())
-    }
 }
 impl RemoteStub for MirrorDoor {
     fn send(
@@ -86,10 +82,6 @@ impl StubFactory for Narrow {
 
     fn is_reachable(&self, _: &NodeName) -> bool {
         true
-    }
-
-    fn opening(&self, _: &NodeName) -> Pin<Box<dyn Future<Output = ()> + Send>> {
-        Box::pin(std::future::pending())
     }
 }
 impl RemoteStub for Narrow {

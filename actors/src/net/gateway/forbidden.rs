@@ -3,6 +3,7 @@
 use super::ObjectGateway;
 use crate::net::keys::NodeKeys;
 use crate::platform;
+use blastema_contract::session::DirectoryReport;
 use blastema_core::net::NodeId;
 use blastema_core::net::trust::access::REFUSAL_REMINDER;
 use blastema_core::sorted::SortedSet;
@@ -64,6 +65,7 @@ impl ObjectGateway {
     pub(in crate::net) fn handle_roster(&mut self, keys: &NodeKeys) {
         let policy = keys.access_policy();
         self.wiring.registry.access().replace(policy.clone());
+        self.tell_directory(DirectoryReport::Policy(Box::new(policy.clone())));
         self.exchange.handle_access(policy);
     }
 }

@@ -1,9 +1,9 @@
 //! Messages of other nodes to objects of this node: their delivery, and the backlog of full queues.
 
 use super::ObjectGateway;
+use super::local::LocalInput;
 use crate::platform;
 use crate::registry::{CapacityFuture, MessageMetadata, ReplyTo, Skeleton};
-use actix::prelude::*;
 use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::SessionEpoch;
 use blastema_core::net::peer_protocol::receive_backlog::{BacklogVerdict, ReceiveBacklog};
@@ -51,14 +51,6 @@ impl Drop for Watch {
     fn drop(&mut self) {
         self.0.abort();
     }
-}
-
-/// An object may have room for what waits.
-#[derive(Message)]
-#[rtype(result = "()")]
-pub(in crate::net) struct CapacityAvailable {
-    pub(in crate::net) peer: NodeId,
-    pub(in crate::net) object: ObjectName,
 }
 
 impl ObjectGateway {
@@ -164,10 +156,8 @@ impl ObjectGateway {
     }
 
     fn watch(&mut self, peer: NodeId, object: ObjectName, space: CapacityFuture) {
-        let (stack, found) = (
-            self.wiring.stack.capacity.clone(),
-            CapacityAvailable { peer, object: object.clone() },
-        );
+        let (stack, found) =
+            (self.wiring.stack.clone(), LocalInput::Capacity { peer, object: object.clone() });
         let waits = actix_rt::spawn(async move {
             space.await;
             stack.do_send(found);
@@ -176,7 +166,7 @@ impl ObjectGateway {
     }
 
     /// Hands over what has waited, in order, as far as there is room.
-    pub(in crate::net) fn hand_over(&mut self, peer: NodeId, object: ObjectName) {
+    pub(super) fn hand_over(&mut self, peer: NodeId, object: ObjectName) {
         for _ in 0..AT_ONCE {
             let Some(Held { binding, payload, metadata, arrived }) =
                 self.queues.backlog.first(peer, &object)

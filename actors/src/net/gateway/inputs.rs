@@ -1,12 +1,12 @@
 //! What the network's stack tells the gateway.
 
-use super::{DiscardedSession, LocalEvent, ObjectGateway, topic};
-use crate::net::gateway_messages::{LocalReply, SendToPeer};
+use super::local::LocalInput;
+use super::{DiscardedSession, ObjectGateway, topic};
+use crate::net::gateway_messages::SendToPeer;
 use crate::net::stub::PeerCondition;
 use crate::platform;
-use crate::topic::TopicKey;
 use blastema_contract::monitor::NodeReported;
-use blastema_contract::session::PeerStatusChanged;
+use blastema_contract::session::DirectoryReport;
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::{Call, TransmitState};
@@ -24,11 +24,13 @@ impl ObjectGateway {
     pub(in crate::net) fn handle_reachable(&mut self, node: &NodeName, incarnation: Incarnation) {
         let (peer, send_state) = self.meet(node);
         self.exchange.handle_reachable(peer);
-        if let Some(peer) = self.peers.get_mut(&peer) {
-            peer.left &= peer.incarnation == incarnation;
-            send_state.path_found(incarnation != peer.incarnation);
-        }
-        if !send_state.has_session() {
+        let Some(known) = self.peers.get_mut(&peer) else { return };
+        let is_newer = known.incarnation != incarnation;
+        known.left &= !is_newer;
+        send_state.path_found(is_newer);
+        if send_state.has_session() && !is_newer && !send_state.is_isolated() {
+            self.tell_directory(DirectoryReport::Opened { node: node.clone(), incarnation });
+        } else if !send_state.has_session() {
             self.set(peer, PeerCondition::Opening);
         }
     }
@@ -37,8 +39,8 @@ impl ObjectGateway {
     pub(in crate::net) fn handle_unreachable(&mut self, node: &NodeName) {
         let (peer, send_state) = self.meet(node);
         self.exchange.handle_unreachable(peer);
-        self.wiring.deaths.handle_opening(peer);
         send_state.path_lost();
+        self.tell_directory(DirectoryReport::Unreachable { node: node.clone() });
         if !send_state.has_session() {
             self.set(peer, PeerCondition::Unreachable);
         }
@@ -53,11 +55,9 @@ impl ObjectGateway {
     ) {
         let (id, send_state) = self.meet(node);
         self.begin_peer(id, session, incarnation);
-        // Before the peer learns that it is connected.
-        self.wiring.deaths.handle_opening(id);
         self.exchange.handle_opened(id, incarnation, platform::now());
         send_state.begin();
-        self.report_peer(&PeerStatusChanged::Opened { node: node.clone(), incarnation });
+        self.tell_directory(DirectoryReport::Opened { node: node.clone(), incarnation });
         if let Some(nodes) = &self.wiring.nodes {
             // What was found lost before a restart is over, too.
             let (node, condition) = (node.clone(), NodeCondition::InSession);
@@ -100,7 +100,7 @@ impl ObjectGateway {
         self.exchange.handle_ended(peer, &why);
         self.forget_forbidden(peer);
         if let Some(peer) = self.peers.get(&peer) {
-            self.report_peer(&PeerStatusChanged::Ended { node: peer.node.clone() });
+            self.tell_directory(DirectoryReport::Ended { node: peer.node.clone() });
         }
     }
 
@@ -131,10 +131,16 @@ impl ObjectGateway {
 
     /// A node is isolated: what is under way with it is resolved, and what it has here goes.
     pub(in crate::net) fn handle_isolated(&mut self, node: &NodeName) {
-        let (peer, _) = self.meet(node);
+        let (peer, send_state) = self.meet(node);
+        send_state.set_isolated(true);
         self.exchange.handle_ended(peer, &DeliveryError::isolated(node));
         self.forget_forbidden(peer);
-        self.report_peer(&PeerStatusChanged::Ended { node: node.clone() });
+        self.tell_directory(DirectoryReport::Ended { node: node.clone() });
+    }
+
+    /// An isolated node is admitted again.
+    pub(in crate::net) fn handle_admitted(&mut self, node: &NodeName) {
+        self.meet(node).1.set_isolated(false);
     }
 
     pub(in crate::net) fn handle_send(&mut self, message: SendToPeer) {
@@ -150,34 +156,31 @@ impl ObjectGateway {
         self.exchange.handle_call(call);
     }
 
-    /// The start of this node is over.
-    pub(in crate::net) fn handle_started(&mut self) {
-        self.exchange.handle_started(platform::now());
-    }
-
-    /// This node ends in order: once nothing waits here, the sessions end.
-    pub(in crate::net) fn handle_end(&mut self) {
-        self.leaving.get_or_insert(platform::now() + LEAVE_TIMEOUT);
-    }
-
-    pub(in crate::net) fn handle_answer(&mut self, message: LocalReply) {
-        let LocalReply { peer, epoch, call, result } = message;
-        self.exchange.handle_answer(peer, epoch, call, result, platform::now());
-    }
-
-    pub(in crate::net) fn handle_event(&mut self, message: LocalEvent) {
-        let LocalEvent { peer, subscription, losses, event, sent, credit } = message;
-        let known = self.forwards.get(&(peer, subscription));
-        match known.filter(|known| Arc::ptr_eq(&known.losses, &losses)) {
-            Some(known) => self.exchange.handle_event(peer, known.by, event, sent, Some(credit)),
-            None => _ = losses.take_late(),
+    pub(in crate::net) fn handle_local(&mut self, input: LocalInput) {
+        let now = platform::now();
+        match input {
+            LocalInput::Started => self.exchange.handle_started(now),
+            // Once nothing waits here, the sessions end.
+            LocalInput::Ending => _ = self.leaving.get_or_insert(now + LEAVE_TIMEOUT),
+            LocalInput::Reply { peer, epoch, call, result } => {
+                self.exchange.handle_answer(peer, epoch, call, result, now);
+            }
+            LocalInput::Capacity { peer, object } => self.hand_over(peer, object),
+            LocalInput::Interest(key) => {
+                self.compare_forwards(&key);
+                let identities = self.wiring.topics.settle_interest(&key.topic);
+                self.exchange.handle_interest(topic(&key), identities);
+            }
+            LocalInput::Event { peer, subscription, losses, event, sent, credit } => {
+                let known = self.forwards.get(&(peer, subscription));
+                match known.filter(|known| Arc::ptr_eq(&known.losses, &losses)) {
+                    Some(known) => {
+                        self.exchange.handle_event(peer, known.by, event, sent, Some(credit))
+                    }
+                    None => _ = losses.take_late(),
+                }
+            }
         }
-    }
-
-    pub(in crate::net) fn handle_interest(&mut self, key: &TopicKey) {
-        self.compare_forwards(key);
-        let identities = self.wiring.topics.settle_interest(&key.topic);
-        self.exchange.handle_interest(topic(key), identities);
     }
 
     /// Records what was lost since the last call, and ends what has waited for too long.

@@ -1,6 +1,7 @@
 //! Topics that peers listen to: their events are sent there.
 
 use super::ObjectGateway;
+use super::local::LocalInput;
 use super::undelivered::UndeliveredEvents;
 use crate::net::credit::SenderCredit;
 use crate::net::stub::PeerSendState;
@@ -27,19 +28,6 @@ pub(super) struct Forwarded {
     pub(super) losses: Arc<UndeliveredEvents>,
 }
 
-/// An event was published here that a peer listens to.
-#[derive(Message)]
-#[rtype(result = "()")]
-pub(in crate::net) struct LocalEvent {
-    pub(super) peer: NodeId,
-    pub(super) subscription: u32,
-    /// Counts it where the subscription has ended meanwhile.
-    pub(super) losses: Arc<UndeliveredEvents>,
-    pub(super) event: GatherBuffer,
-    pub(super) sent: Instant,
-    pub(super) credit: Credit,
-}
-
 /// Takes events of one topic to one peer.
 struct PeerForward {
     target: ForwardTarget,
@@ -52,7 +40,7 @@ struct PeerForward {
 
 #[derive(Clone)]
 struct ForwardTarget {
-    gateway: Recipient<LocalEvent>,
+    gateway: Recipient<LocalInput>,
     peer: NodeId,
     subscription: u32,
     losses: Arc<UndeliveredEvents>,
@@ -62,7 +50,7 @@ impl ForwardTarget {
     fn send(&self, event: &GatherBuffer, sent: Instant, credit: Credit) {
         let ForwardTarget { gateway, peer, subscription, losses } = self.clone();
         let event = event.clone();
-        gateway.do_send(LocalEvent { peer, subscription, losses, event, sent, credit });
+        gateway.do_send(LocalInput::Event { peer, subscription, losses, event, sent, credit });
     }
 }
 
@@ -154,7 +142,7 @@ impl ObjectGateway {
             },
         };
         let Some(known) = self.peers.get(&peer) else { return };
-        let (send_state, gateway) = (known.send_state.clone(), self.wiring.stack.events.clone());
+        let (send_state, gateway) = (known.send_state.clone(), self.wiring.stack.clone());
         let (losses, node) = (self.losses(known, &key), known.node.clone());
         let target = ForwardTarget { gateway, peer, subscription, losses: losses.clone() };
         let credit = send_state.credits().sender(by.1);

@@ -35,7 +35,7 @@ const LOST_MIN: u64 = 10;
 const PAST_MAX: usize = 16 * 1024;
 
 /// Counts the events of one topic that do not go to one peer.
-pub(super) struct UndeliveredEvents {
+pub(in crate::net) struct UndeliveredEvents {
     dead_letters: DeadLetterLog,
     node: NodeName,
     contract: String,

@@ -1,50 +1,287 @@
-//! Links to discovered neighbours: created and removed while the node runs.
+//! Links to neighbours that are not described: found by the beacons on this network.
 
 use super::LinksActor;
 use crate::net::LinkSpec;
+use crate::net::keys::NodeKeys;
 use crate::platform;
 use crate::runtime::driver::MachineActor;
 use actix::prelude::*;
 use blastema_contract::link::LinkChanged;
-use blastema_contract::transport::MediumAddress;
-use blastema_core::NodeName;
+use blastema_contract::transport::{
+    Attach, MediumAddress, Received, Transmit, Transport, TransportReport,
+};
 use blastema_core::detection::LinkCondition;
+use blastema_core::net::discovery::{
+    Discovery, DiscoveryAdmission, DiscoveryConfig, DiscoveryOutput,
+};
+use blastema_core::net::refusal_alarms::RefusalAlarms;
 use blastema_core::net::routing::{LinkHealth, LinkStatus};
+use blastema_core::net::trust::beacon::{BeaconKeys, CheckedBeacon};
 use blastema_core::net::{LinkId, LinkState};
-use tracing::debug;
+use blastema_core::{FaultKind, NodeName};
+use bytes::Bytes;
+use std::net::{IpAddr, SocketAddr};
+use std::time::Duration;
+use tracing::{debug, info, warn};
 
-/// What discovery must know of the links. A domain is a network, by its place
-/// among those that discover.
-#[derive(Message)]
-#[rtype(result = "()")]
-pub(crate) enum NeighbourChange {
-    /// A link came up, or went down.
-    Neighbour { domain: usize, node: NodeName, remote: MediumAddress, up: bool },
-    /// The network is open at this port.
-    Open { domain: usize, port: u16 },
+/// How often a beacon is sent. With it a node that joins is found within a second.
+const BEACON_INTERVAL: Duration = Duration::from_secs(1);
+/// Beacons that are listened to in a second: each node on the network sends one.
+const BEACONS_MAX: u32 = 1000;
+/// The first bytes of a beacon, with its version.
+const BEACON_MARK: &[u8] = b"BLB\x01";
+
+/// How a network discovers.
+#[derive(Clone, Debug)]
+pub(crate) struct DiscoverySpec {
+    pub(crate) admission: DiscoveryAdmission,
+    /// How often hellos are said on a link that is learned.
+    pub(crate) hello_interval: Duration,
+    /// Where beacons are sent and heard, and to whom they go.
+    pub(crate) beacons: (Transport, SocketAddr),
 }
 
-/// Make a link.
-#[derive(Message)]
-#[rtype(result = "()")]
-pub(crate) struct AddDiscoveredLink {
-    pub(crate) number: LinkId,
-    pub(crate) spec: LinkSpec,
+/// What the links of a network that discovers know of its beacons.
+pub(super) struct NetworkDiscovery {
+    node: NodeName,
+    spec: DiscoverySpec,
+    machine: Discovery,
+    /// The numbers of links that it may make.
+    numbers: Vec<LinkId>,
+    complaints: RefusalAlarms<()>,
+    /// Those of the pairs, where nodes have keys.
+    keys: Option<BeaconKeys>,
+    /// The port at which the network is open, for beacons.
+    port: Option<u16>,
+    /// So many beacons are still listened to until the next look.
+    left: u32,
 }
 
-/// Give up a link that was made.
-#[derive(Message)]
-#[rtype(result = "()")]
-pub(crate) struct RemoveDiscoveredLink {
-    pub(crate) number: LinkId,
+impl NetworkDiscovery {
+    pub(super) fn new(
+        node: NodeName,
+        (spec, numbers): (DiscoverySpec, Vec<LinkId>),
+        keys: Option<&NodeKeys>,
+    ) -> Self {
+        let machine = Discovery::new(DiscoveryConfig::new(node.clone(), spec.admission.clone()));
+        NetworkDiscovery {
+            node,
+            spec,
+            machine,
+            numbers,
+            complaints: RefusalAlarms::default(),
+            keys: keys.map(NodeKeys::beacon_keys),
+            port: None,
+            left: BEACONS_MAX,
+        }
+    }
+
+    /// Begins again with these links: their numbers, their nodes, and where these are.
+    pub(super) fn restart<'a>(&mut self, links: impl Iterator<Item = (LinkId, &'a LinkSpec)>) {
+        let (config, now) = (self.spec.admission.clone(), platform::now());
+        self.machine = Discovery::new(DiscoveryConfig::new(self.node.clone(), config));
+        self.complaints = RefusalAlarms::default();
+        for (number, LinkSpec { neighbour, remote, .. }) in links {
+            let Some(node) = neighbour.clone() else { continue };
+            match self.numbers.contains(&number) {
+                true => self.machine.handle_learned(node, remote.to_string(), now),
+                false => self.machine.handle_link(node, remote.to_string(), false, now),
+            }
+        }
+    }
+
+    pub(super) fn handle_roster(&mut self, keys: &NodeKeys) {
+        self.keys = Some(keys.beacon_keys());
+    }
+
+    fn say_beacons(&self) {
+        let Some(port) = self.port else { return };
+        let frames = match &self.keys {
+            Some(keys) => keys.beacons(port).into_iter().map(Bytes::from).collect(),
+            None => vec![beacon(&self.node, port)],
+        };
+        let (transport, group) = &self.spec.beacons;
+        for frame in frames {
+            let to = MediumAddress::Ip(*group);
+            transport.transmit.do_send(Transmit::new(to, frame.into()));
+        }
+    }
+
+    fn handle_beacon(&mut self, from: IpAddr, frame: &[u8]) {
+        // A flood is heard in part: enough to be refused, counted and named.
+        let Some(left) = self.left.checked_sub(1) else { return };
+        self.left = left;
+        let now = platform::now();
+        let read = match self.keys.as_mut().map(|keys| keys.check(frame, now)) {
+            None => read_beacon(frame),
+            Some(CheckedBeacon::Node(node, port)) => Some((node, port)),
+            Some(CheckedBeacon::NotForUs) => return,
+            Some(CheckedBeacon::Forged) => None,
+        };
+        match read {
+            Some((node, port)) => {
+                let address = SocketAddr::new(from, port).to_string();
+                self.machine.handle_beacon(node, address, now);
+            }
+            None => self.machine.handle_noise(),
+        }
+    }
 }
 
-/// Report every link again.
+/// Without keys:
+///
+/// ```text
+/// BLB 3 │ version 1 │ port 2 │ name to the end
+/// ```
+fn beacon(node: &NodeName, port: u16) -> Bytes {
+    [BEACON_MARK, &port.to_be_bytes(), node.as_str().as_bytes()].concat().into()
+}
+
+fn read_beacon(frame: &[u8]) -> Option<(NodeName, u16)> {
+    let rest = frame.strip_prefix(BEACON_MARK)?;
+    let (port, name) = rest.split_first_chunk::<2>()?;
+    let name = std::str::from_utf8(name).ok()?;
+    let port = u16::from_be_bytes(*port);
+    (port > 0).then_some((NodeName::new(name).ok()?, port))
+}
+
+/// Hears the beacons of one network: its links hear another transport.
+struct BeaconReceiver(Recipient<BeaconReport>);
+
+impl Actor for BeaconReceiver {
+    type Context = Context<Self>;
+}
+
+impl Handler<Received> for BeaconReceiver {
+    type Result = ();
+
+    fn handle(&mut self, Received { from, frame }: Received, _: &mut Context<Self>) {
+        if let MediumAddress::Ip(from) = from {
+            self.0.do_send(BeaconReport::Received { from: from.ip(), frame });
+        }
+    }
+}
+
+impl Handler<TransportReport> for BeaconReceiver {
+    type Result = ();
+
+    fn handle(&mut self, report: TransportReport, _: &mut Context<Self>) {
+        match report {
+            TransportReport::Opened { .. } => self.0.do_send(BeaconReport::Opened),
+            TransportReport::Closed { reason } => warn!("no beacons: {reason}"),
+            TransportReport::Ended
+            | TransportReport::Rate { .. }
+            | TransportReport::PeerLost { .. }
+            | TransportReport::NoCarrier { .. }
+            | TransportReport::Clash { .. } => {}
+        }
+    }
+}
+
+/// From the transport of the beacons.
 #[derive(Message)]
 #[rtype(result = "()")]
-pub(crate) struct ReportNeighbours;
+enum BeaconReport {
+    Opened,
+    /// A beacon, or another frame to the group.
+    Received {
+        from: IpAddr,
+        frame: Bytes,
+    },
+}
+
+impl Handler<BeaconReport> for LinksActor {
+    type Result = ();
+
+    fn handle(&mut self, report: BeaconReport, context: &mut Context<Self>) {
+        let Some(discovery) = &mut self.discovery else { return };
+        match report {
+            BeaconReport::Opened => discovery.say_beacons(),
+            BeaconReport::Received { from, frame } => discovery.handle_beacon(from, &frame),
+        }
+        self.follow_discovery();
+        self.drive(context);
+    }
+}
 
 impl LinksActor {
+    /// Hears and sends beacons from now on.
+    pub(super) fn attach_beacons(&self, context: &mut Context<Self>) {
+        let Some(discovery) = &self.discovery else { return };
+        let receiver = BeaconReceiver(context.address().recipient()).start();
+        let (transport, _) = &discovery.spec.beacons;
+        transport.attach.do_send(Attach::new(receiver.clone().recipient(), receiver.recipient()));
+        context.run_interval(BEACON_INTERVAL, |links, context| {
+            links.look_at_beacons();
+            links.drive(context);
+        });
+    }
+
+    /// Sends a beacon, gives up who was learned of and is not there, and raises an alarm while
+    /// beacons are refused for seconds.
+    fn look_at_beacons(&mut self) {
+        let Some(discovery) = &mut self.discovery else { return };
+        discovery.left = BEACONS_MAX;
+        discovery.say_beacons();
+        discovery.machine.handle_time(platform::now());
+        if let Some(since) = discovery.complaints.handle_look((), discovery.machine.refusals()) {
+            let detail = format!(
+                "of the neighbours that are told by beacons, many are refused all the time: {since}"
+            );
+            warn!("{detail}");
+            self.wiring.faults.declare_passing(FaultKind::CheckFailed, detail);
+        }
+        self.follow_discovery();
+    }
+
+    fn follow_discovery(&mut self) {
+        while let Some(output) =
+            self.discovery.as_mut().and_then(|discovery| discovery.machine.poll_output())
+        {
+            match output {
+                DiscoveryOutput::Connect { node, address } => self.connect(node, &address),
+                DiscoveryOutput::Disconnect { node } => self.disconnect(&node),
+            }
+        }
+    }
+
+    fn connect(&mut self, node: NodeName, address: &str) {
+        let Some(discovery) = &self.discovery else { return };
+        let free = discovery.numbers.iter().find(|number| !self.specs.contains_key(*number));
+        let remote = address.parse().map(MediumAddress::Ip);
+        let (Some(&number), Ok(remote)) = (free, remote) else { return };
+        // Where a link leads already, none is needed.
+        if self.bundle.link_at(&remote).is_some() {
+            return;
+        }
+        let network = self.wiring.network.clone();
+        info!(%network, %node, %remote, "a neighbour is learned of");
+        let spec = LinkSpec {
+            name: format!("{network}/{node}").into(),
+            remote,
+            neighbour: Some(node),
+            cost: None,
+            hello_interval: discovery.spec.hello_interval,
+            expected_within: Duration::MAX,
+        };
+        match self.insert(number, &spec, platform::now()) {
+            Ok(()) => drop(self.specs.insert(number, spec)),
+            // Another address of a node that has a link here, or a node without a key.
+            Err(error) => debug!(%network, link = %spec.name, "{error}"),
+        }
+    }
+
+    fn disconnect(&mut self, node: &NodeName) {
+        info!(network = %self.wiring.network, %node, "a neighbour that was learned of is given up");
+        let Some(discovery) = &self.discovery else { return };
+        let leads_there = |number: &&LinkId| {
+            self.specs.get(*number).is_some_and(|spec| spec.neighbour.as_ref() == Some(node))
+        };
+        if let Some(&number) = discovery.numbers.iter().find(leads_there) {
+            self.remove(number);
+        }
+    }
+
     /// Takes a link out that was not described.
     pub(super) fn remove(&mut self, number: LinkId) {
         if let Some(status) = self.reported.remove(&number) {
@@ -61,10 +298,8 @@ impl LinksActor {
     }
 
     /// Tells discovery whether a link is up, and with whom.
-    pub(super) fn tell_discovery(&self, number: LinkId, state: LinkState) {
-        let (Some((domain, discovery)), Some(spec)) =
-            (&self.wiring.discovery, self.specs.get(&number))
-        else {
+    pub(super) fn tell_discovery(&mut self, number: LinkId, state: LinkState) {
+        let (Some(discovery), Some(spec)) = (&mut self.discovery, self.specs.get(&number)) else {
             return;
         };
         let up = match state {
@@ -75,63 +310,37 @@ impl LinksActor {
         let peer = self.bundle.get(number).and_then(|link| link.neighbour());
         let node = peer.map(|peer| peer.node.clone()).or(spec.neighbour.clone());
         if let Some(node) = node {
-            let (domain, remote) = (*domain, spec.remote.clone());
-            discovery.do_send(NeighbourChange::Neighbour { domain, node, remote, up });
+            discovery.machine.handle_link(node, spec.remote.to_string(), up, platform::now());
         }
     }
 
-    /// Tells at which port we can be found.
-    pub(super) fn tell_port(&self, local: &MediumAddress) {
-        if let (Some((domain, discovery)), MediumAddress::Ip(local)) =
-            (&self.wiring.discovery, local)
-        {
-            discovery.do_send(NeighbourChange::Open { domain: *domain, port: local.port() });
+    /// Tells at which port this network is open.
+    pub(super) fn tell_port(&mut self, local: &MediumAddress) {
+        if let (Some(discovery), MediumAddress::Ip(local)) = (&mut self.discovery, local) {
+            discovery.port = Some(local.port());
+            discovery.say_beacons();
         }
     }
 }
 
-impl Handler<AddDiscoveredLink> for LinksActor {
-    type Result = ();
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-    fn handle(
-        &mut self,
-        AddDiscoveredLink { number, spec }: AddDiscoveredLink,
-        context: &mut Context<Self>,
-    ) {
-        // Where a link leads already, none is needed.
-        if self.bundle.link_at(&spec.remote).is_some() {
-            return;
-        }
-        match self.insert(number, &spec, platform::now()) {
-            Ok(()) => {
-                self.specs.insert(number, spec);
-            }
-            // Another address of a node that has a link here, or a node without a key.
-            Err(error) => debug!(network = %self.wiring.network, link = %spec.name, "{error}"),
-        }
-        self.drive(context);
-    }
-}
-
-impl Handler<RemoveDiscoveredLink> for LinksActor {
-    type Result = ();
-
-    fn handle(
-        &mut self,
-        RemoveDiscoveredLink { number }: RemoveDiscoveredLink,
-        context: &mut Context<Self>,
-    ) {
-        self.remove(number);
-        self.drive(context);
-    }
-}
-
-impl Handler<ReportNeighbours> for LinksActor {
-    type Result = ();
-
-    fn handle(&mut self, _: ReportNeighbours, _: &mut Context<Self>) {
-        for (number, link) in self.bundle.iter() {
-            self.tell_discovery(number, link.state());
+    #[test]
+    fn a_beacon_says_who_is_at_which_port_and_nothing_else_is_one() {
+        let node = NodeName::new("module1").unwrap();
+        assert_eq!(&beacon(&node, 7400)[..], b"BLB\x01\x1c\xe8module1");
+        assert_eq!(read_beacon(&beacon(&node, 7400)), Some((node, 7400)));
+        for noise in [
+            &b""[..],
+            b"BLB\x01\0",
+            b"BLB\x02\0\0a",
+            b"BLB\x01\0\x01",
+            b"BLB\x01\0\x01a b",
+            b"BLB\x01\0\0a",
+        ] {
+            assert_eq!(read_beacon(noise), None, "{noise:?}");
         }
     }
 }

@@ -4,6 +4,7 @@ use super::*;
 use crate::net::gateway_messages::SendToPeer;
 use crate::net::stack::StackOutput;
 use crate::registry::ReplyTo;
+use blastema_contract::strategy::IsolateNode;
 use blastema_core::net::{NodeId, Router, RouterConfig, RouterOutput, SessionOutput};
 use blastema_core::{ContractIdentity, Machine, ObjectAddress, TrafficClass};
 
@@ -180,7 +181,8 @@ fn what_a_session_does_about_segments_comes_before_a_path_that_is_lost_later() {
             let (lower, right, now) = (&mut stack.lower, named("right"), platform::now());
             let id = NodeId::of(&right);
             lower.sessions.machines.get_mut(id).unwrap().handle_restart(now);
-            lower.router.handle_isolation(&right, true);
+            let (isolated, cause) = (true, String::new());
+            lower.router.handle_isolation(IsolateNode { node: right, isolated, cause });
             lower.router.machine.verdict(id, now);
             while let Some(next) = lower.poll_output() {
                 let _ = match next {

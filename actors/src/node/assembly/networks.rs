@@ -5,8 +5,7 @@ use super::{NodeAssembly, middleware, named};
 use crate::component::environment::ComponentEnvironment;
 use crate::component::spec_error::SpecError;
 use crate::directory::actor::{DirectoryActor, DirectorySetup};
-use crate::net::safe_state::{RestSetup, SafeStateActor};
-use crate::net::{self, NetEnvironment, NetHandle};
+use crate::net::{self, DirectoryLine, NetEnvironment, NetHandle};
 use crate::node::Shared;
 use crate::node::builder::ActorPlacement;
 use crate::node::controller::SubscribeSafeState;
@@ -24,6 +23,7 @@ use blastema_contract::transport::Close;
 use blastema_core::detection::{NodeCondition, RecovererPort};
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{FaultKind, Incarnation, NodeName};
+use std::sync::Arc;
 use std::time::Duration;
 
 /// The networks of a node that runs.
@@ -201,6 +201,7 @@ fn make_networks(
         specs.push(started.spec);
     }
     if let Some(keys) = &keys {
+        enrolments.push(middleware(named("net/roster"), None));
         environment.registry.access().replace(keys.access_policy());
     }
     let net_environment = NetEnvironment {
@@ -219,8 +220,7 @@ fn make_networks(
         faults: Some(monitor.clone().recipient()),
         cleared: Some(monitor.clone().recipient()),
         session_timeout,
-        observers: Vec::new(),
-        roster_observers: Vec::new(),
+        directory: None,
         keys,
     };
     let slowest = specs.iter().flat_map(|spec| &spec.links).map(|link| link.hello_interval).max();
@@ -230,18 +230,13 @@ fn make_networks(
         expected: neighbours.iter().cloned().collect(),
         ..setup
     };
+    let network = setup.network.clone();
     let directory = DirectoryActor::start(setup, guardian, arbiter.as_ref());
     enrolments.push(middleware(named("net/directory"), Some(directory.pings)));
-    let setup =
-        RestSetup { registry: environment.registry.clone(), nodes: monitor.clone().recipient() };
-    let rest = SafeStateActor::start(setup, guardian, arbiter.as_ref());
-    chain.controller.do_send(SubscribeSafeState(rest.own));
-    enrolments.push(middleware(named("net/rest"), Some(rest.pings)));
-    let (observers, roster_observers) =
-        (vec![directory.peers, rest.peers], vec![directory.rosters]);
-    let net_environment = NetEnvironment { observers, roster_observers, ..net_environment };
-    let handle = net::start(net_environment, specs)
-        .map_err(|error| StartError::Network(error.to_string()))?;
+    let directory = Some(DirectoryLine { reports: directory.reports, network });
+    let net_environment = NetEnvironment { directory, ..net_environment };
+    let handle = net::start(net_environment, specs);
+    chain.controller.do_send(SubscribeSafeState(handle.safe_states()));
     let own = handle.pings().into_iter();
     enrolments.extend(own.map(|(name, pings)| middleware(name, Some(pings))));
     // The recipient is set once, here.
@@ -268,6 +263,7 @@ fn directory_setup(
         incarnation,
         settle: Duration::ZERO,
         expected: Vec::new(),
+        network: Arc::default(),
         registry: environment.registry.clone(),
         topics: environment.topics().clone(),
         names: environment.directory().clone(),

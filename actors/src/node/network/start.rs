@@ -14,6 +14,7 @@ use blastema_contract::transport::{MediumAddress, Transport};
 use blastema_core::net::discovery::DiscoveryAdmission;
 #[cfg(feature = "serial")]
 use blastema_core::net::seal::SealProfile;
+use blastema_core::sorted::SortedSet;
 use blastema_core::{NodeName, ObjectName};
 #[cfg(feature = "unix")]
 use blastema_transports::Unix;
@@ -167,13 +168,21 @@ impl Network {
     }
 
     pub(super) fn link_specs(&self) -> Result<Vec<LinkSpec>, StartError> {
+        let mut remotes = SortedSet::new();
         let spec = |link: &Link| {
             let of = format!("the name of a neighbour on network {}", self.name);
             let neighbour = NodeName::new(&link.neighbour).map_err(StartError::name_of(of))?;
             let remote = self.medium.remote(&link.address);
+            let remote = remote.map_err(|error| self.endpoint_error(Some(&neighbour), error))?;
+            if !remotes.insert(remote.clone()) {
+                return Err(StartError::Network(format!(
+                    "two links of network {} lead to {remote}: leave one of them out",
+                    self.name
+                )));
+            }
             Ok(LinkSpec {
                 name: self.link_name(link).into(),
-                remote: remote.map_err(|error| self.endpoint_error(Some(&neighbour), error))?,
+                remote,
                 neighbour: Some(neighbour),
                 cost: link.cost,
                 hello_interval: link.hello_every,

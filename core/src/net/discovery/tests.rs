@@ -8,23 +8,21 @@ fn node(name: &str) -> NodeName {
     NodeName::new(name).unwrap()
 }
 
-/// Node `a` with `b` described on its only network.
+/// Node `a` with `b` described.
 fn beside_b(admission: DiscoveryAdmission) -> Discovery {
-    let mut a = Discovery::new(DiscoveryConfig::new(node("a"), vec![admission]));
-    a.handle_link((0, node("b")), "b:1".into(), true, ms(0));
+    let mut a = Discovery::new(DiscoveryConfig::new(node("a"), admission));
+    a.handle_link(node("b"), "b:1".into(), true, ms(0));
     a
 }
 
 fn beacon(discovery: &mut Discovery, name: &str, address: &str, at: u64) {
-    discovery.handle_beacon(0, node(name), address.into(), ms(at));
+    discovery.handle_beacon(node(name), address.into(), ms(at));
 }
 
 fn outputs(discovery: &mut Discovery) -> Vec<String> {
     let text = |output| match output {
-        DiscoveryOutput::Connect { domain, node, address } => {
-            format!("{domain}: try {node} at {address}")
-        }
-        DiscoveryOutput::Disconnect { domain, node } => format!("{domain}: give {node} up"),
+        DiscoveryOutput::Connect { node, address } => format!("try {node} at {address}"),
+        DiscoveryOutput::Disconnect { node } => format!("give {node} up"),
     };
     std::iter::from_fn(|| discovery.poll_output()).map(text).collect()
 }
@@ -35,8 +33,7 @@ fn only_who_is_admitted_and_not_described_is_tried() {
     for (name, address) in [("c", "c:1"), ("d", "d:1"), ("a", "a:1"), ("b", "x:1")] {
         beacon(&mut a, name, address, 30);
     }
-    a.handle_beacon(7, node("c"), "c:1".into(), ms(0));
-    assert_eq!(outputs(&mut a), ["0: try c at c:1"]);
+    assert_eq!(outputs(&mut a), ["try c at c:1"]);
     assert_eq!(a.refusals().total(), 0);
 }
 
@@ -46,16 +43,16 @@ fn what_does_not_prove_itself_is_given_up_and_not_tried_again_soon() {
     beacon(&mut a, "c", "nowhere:1", 0);
     outputs(&mut a);
 
-    a.handle_timeout(ms(4_999));
+    a.handle_time(ms(4_999));
     assert_eq!(outputs(&mut a), Vec::<String>::new());
-    a.handle_timeout(ms(5_000));
-    assert_eq!(outputs(&mut a), ["0: give c up"]);
+    a.handle_time(ms(5_000));
+    assert_eq!(outputs(&mut a), ["give c up"]);
     beacon(&mut a, "c", "nowhere:1", 34_999);
     assert_eq!(outputs(&mut a), Vec::<String>::new());
     beacon(&mut a, "c", "c:1", 34_999);
-    assert_eq!(outputs(&mut a), ["0: try c at c:1"], "its right address is another matter");
-    a.handle_link((0, node("c")), "c:1".into(), true, ms(36_000));
-    a.handle_timeout(ms(50_000));
+    assert_eq!(outputs(&mut a), ["try c at c:1"], "its right address is another matter");
+    a.handle_link(node("c"), "c:1".into(), true, ms(36_000));
+    a.handle_time(ms(50_000));
     assert_eq!(outputs(&mut a), Vec::<String>::new());
 }
 
@@ -63,16 +60,16 @@ fn what_does_not_prove_itself_is_given_up_and_not_tried_again_soon() {
 fn a_learned_neighbour_is_tried_for_long_after_it_went_and_then_forgotten() {
     let mut a = beside_b(DiscoveryAdmission::AnyNode);
     beacon(&mut a, "c", "c:1", 0);
-    a.handle_link((0, node("c")), "c:1".into(), true, ms(500));
-    a.handle_link((0, node("b")), "b:1".into(), false, ms(1_000));
-    a.handle_link((0, node("c")), "c:1".into(), false, ms(2_000));
+    a.handle_link(node("c"), "c:1".into(), true, ms(500));
+    a.handle_link(node("b"), "b:1".into(), false, ms(1_000));
+    a.handle_link(node("c"), "c:1".into(), false, ms(2_000));
     outputs(&mut a);
 
-    a.handle_timeout(ms(601_999));
+    a.handle_time(ms(601_999));
     assert_eq!(outputs(&mut a), Vec::<String>::new());
-    a.handle_timeout(ms(602_000));
-    assert_eq!(outputs(&mut a), ["0: give c up"]);
-    a.handle_timeout(ms(10_000_000));
+    a.handle_time(ms(602_000));
+    assert_eq!(outputs(&mut a), ["give c up"]);
+    a.handle_time(ms(10_000_000));
     assert_eq!(outputs(&mut a), Vec::<String>::new(), "who was described is never given up");
 }
 
@@ -80,15 +77,15 @@ fn a_learned_neighbour_is_tried_for_long_after_it_went_and_then_forgotten() {
 fn a_neighbour_that_came_back_elsewhere_is_tried_there() {
     let mut a = beside_b(DiscoveryAdmission::AnyNode);
     beacon(&mut a, "c", "c:1", 0);
-    a.handle_link((0, node("c")), "c:1".into(), true, ms(500));
+    a.handle_link(node("c"), "c:1".into(), true, ms(500));
     outputs(&mut a);
 
     beacon(&mut a, "c", "c:2", 600);
-    a.handle_link((0, node("c")), "c:1".into(), false, ms(1_000));
+    a.handle_link(node("c"), "c:1".into(), false, ms(1_000));
     beacon(&mut a, "c", "c:2", 5_999);
     assert_eq!(outputs(&mut a), Vec::<String>::new(), "who is up, or was just now, is believed");
     beacon(&mut a, "c", "c:2", 6_010);
-    assert_eq!(outputs(&mut a), ["0: give c up", "0: try c at c:2"]);
+    assert_eq!(outputs(&mut a), ["give c up", "try c at c:2"]);
 }
 
 #[test]
@@ -103,7 +100,7 @@ fn a_flood_of_beacons_is_bounded_and_counted() {
     assert_eq!((a.refusals().too_large, a.refusals().malformed), (5_000 - TRIED_MAX as u64, 1));
     assert!(a.neighbours.len() <= 1 + LEARNED_MAX);
     for round in 1..100_u64 {
-        a.handle_timeout(ms(5_000 * round));
+        a.handle_time(ms(5_000 * round));
         for n in 0..TRIED_MAX {
             beacon(&mut a, &format!("m{n}"), &format!("10.0.0.2:{round}{n}"), 5_000 * round);
         }

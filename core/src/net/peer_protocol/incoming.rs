@@ -143,6 +143,21 @@ impl PeerProtocol {
                 session.age(timestamp_us, now);
                 self.outputs.push_back(PeerProtocolOutput::Announced { peer });
             }
+            PeerMessage::InSafeState { reason } => {
+                let reason = Some(reason);
+                self.outputs.push_back(PeerProtocolOutput::SafeState { peer, reason });
+            }
+            PeerMessage::AtWork => {
+                self.outputs.push_back(PeerProtocolOutput::SafeState { peer, reason: None });
+            }
+            PeerMessage::RosterSerial { serial } => self.handle_serial(peer, serial),
+            PeerMessage::RosterRequest => self.handle_roster_request(peer),
+            PeerMessage::Roster { text } => {
+                self.outputs.push_back(PeerProtocolOutput::Roster { peer, text });
+            }
+            PeerMessage::Directory { message } => {
+                self.outputs.push_back(PeerProtocolOutput::Directory { peer, message });
+            }
             PeerMessage::Leaving => self.outputs.push_back(PeerProtocolOutput::Bye { peer }),
             PeerMessage::NotReady { binding } => match session.handle_not_ready(binding) {
                 Some((object, true)) => {

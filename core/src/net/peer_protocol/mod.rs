@@ -11,6 +11,7 @@
 mod access;
 mod age;
 mod incoming;
+mod node_state;
 mod peer;
 mod reply_cache;
 mod types;
@@ -21,6 +22,7 @@ pub use self::types::{
     Call, MessageTarget, PeerProtocolOutput, SessionEpoch, TopicContract, TransmitState,
 };
 
+use self::node_state::NodeState;
 use self::peer::{Binding, BindingTable, PeerSession, PendingCall, QueuedMessage, carry};
 use self::reply_cache::ReplyCache;
 
@@ -66,6 +68,8 @@ pub struct PeerProtocol {
     access: Option<AccessPolicy>,
     /// The objects of this node answer: peers are told that it is connected.
     is_started: bool,
+    /// What peers are told of this node.
+    own: NodeState,
     refusals: Refusals,
     outputs: VecDeque<PeerProtocolOutput>,
 }
@@ -138,6 +142,7 @@ impl PeerProtocol {
         state.session = Some(session);
         let again = std::mem::take(&mut state.again);
         let topics: Vec<_> = self.interests.keys().cloned().collect();
+        self.outputs.extend(self.own.messages().map(|message| control(peer, &message)));
         topics.iter().for_each(|topic| self.offer_interest(peer, topic));
         if self.is_started {
             self.outputs.push_back(control(peer, &PeerMessage::Announced { timestamp_us: 0 }));
@@ -372,8 +377,12 @@ impl PeerProtocol {
 
     /// This node ends in order.
     pub fn handle_leave(&mut self) {
+        self.tell_all(&PeerMessage::Leaving);
+    }
+
+    fn tell_all(&mut self, message: &PeerMessage) {
         for (peer, _) in self.peers.iter().filter(|(_, state)| state.session.is_some()) {
-            self.outputs.push_back(control(*peer, &PeerMessage::Leaving));
+            self.outputs.push_back(control(*peer, message));
         }
     }
 

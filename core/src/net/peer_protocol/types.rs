@@ -236,6 +236,27 @@ pub enum PeerProtocolOutput {
         /// The node that has told it.
         peer: NodeId,
     },
+    /// The peer is in the safe state, or no more.
+    SafeState {
+        /// The node that says so of itself.
+        peer: NodeId,
+        /// Why it is; `None` if it is at work.
+        reason: Option<String>,
+    },
+    /// A peer has a newer roster. It counts if the robot has signed it.
+    Roster {
+        /// The node that has it.
+        peer: NodeId,
+        /// The signed text.
+        text: Bytes,
+    },
+    /// The directory of a peer says this to that of this node.
+    Directory {
+        /// The node of the peer.
+        peer: NodeId,
+        /// The encoded message.
+        message: Bytes,
+    },
     /// The peer ends in order.
     Bye {
         /// The node that ends.

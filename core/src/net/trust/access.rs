@@ -60,8 +60,6 @@ pub(in crate::net) fn needs(contract: &str) -> BindingNeeds {
     match contract.strip_prefix(INTERNAL) {
         None => BindingNeeds::AskOrTell,
         Some("command" | "variables") => BindingNeeds::Nothing,
-        // What nodes say of themselves; names that they claim are judged one by one.
-        Some("actor-message") => BindingNeeds::Nothing,
         Some("serve" | "who-serves") => BindingNeeds::Right(Verb::Ask),
         Some("replica" | "service-configuration") => BindingNeeds::Right(Verb::Claim),
         Some("key-status" | "order-isolation" | "order-component") => {
@@ -367,7 +365,6 @@ mod tests {
         assert_eq!(needs("blastema/load-state"), BindingNeeds::OwnNode);
         assert_eq!(needs("blastema/recover"), BindingNeeds::RightAtNode(Verb::Recover));
         assert_eq!(needs("blastema/await-end"), BindingNeeds::Membership);
-        assert_eq!(needs("blastema/actor-message"), BindingNeeds::Nothing);
     }
 
     #[test]

@@ -29,6 +29,10 @@ const TOPIC_MAX: usize = 255;
 /// The most bytes of a contract's identity: what
 /// [`PeerIdentity::decode`](crate::PeerIdentity::decode) takes.
 const IDENTITY_MAX: usize = 16 * 1024;
+/// The longest reason of a safe state, in bytes: a panic's text, shortened.
+pub const REASON_MAX: usize = 1024;
+/// The most bytes of a roster.
+const ROSTER_MAX: usize = 128 * 1024;
 /// The most bytes of an error. The longest shows 24 lines of differences.
 const WHY_MAX: usize = 8 * 1024;
 
@@ -160,6 +164,30 @@ pub enum PeerMessage {
         /// The number of the binding.
         binding: u32,
     },
+    /// This node is in the safe state.
+    InSafeState {
+        /// Why it is.
+        reason: String,
+    },
+    /// This node is in the safe state no more.
+    AtWork,
+    /// This node uses a roster of this robot.
+    RosterSerial {
+        /// The roster's serial number.
+        serial: u64,
+    },
+    /// The peer's roster is newer than this node's: it is to send it.
+    RosterRequest,
+    /// The roster that this node uses, for a peer that has asked for it.
+    Roster {
+        /// The signed text.
+        text: Bytes,
+    },
+    /// A message of this node's directory to the peer's.
+    Directory {
+        /// The encoded message.
+        message: Bytes,
+    },
 }
 
 const BIND: u8 = 0;
@@ -179,6 +207,12 @@ const FULL: u8 = 15;
 const ROOM: u8 = 16;
 const SUBSCRIBE_AGAIN: u8 = 17;
 const TELL_REFUSED: u8 = 18;
+const IN_SAFE_STATE: u8 = 19;
+const AT_WORK: u8 = 20;
+const ROSTER_SERIAL: u8 = 21;
+const ROSTER_REQUEST: u8 = 22;
+const ROSTER: u8 = 23;
+const DIRECTORY: u8 = 24;
 
 impl PeerMessage {
     /// The message's bytes. A large payload is not copied.
@@ -255,6 +289,21 @@ impl PeerMessage {
             PeerMessage::Leaving => bytes.put_u8(BYE),
             PeerMessage::NotReady { binding } => numbered(bytes, FULL, *binding),
             PeerMessage::Ready { binding } => numbered(bytes, ROOM, *binding),
+            PeerMessage::InSafeState { reason } => {
+                bytes.put_u8(IN_SAFE_STATE);
+                bytes.sized(reason.as_bytes());
+            }
+            PeerMessage::AtWork => bytes.put_u8(AT_WORK),
+            PeerMessage::RosterSerial { serial } => numbered(bytes, ROSTER_SERIAL, *serial),
+            PeerMessage::RosterRequest => bytes.put_u8(ROSTER_REQUEST),
+            PeerMessage::Roster { text } => {
+                bytes.put_u8(ROSTER);
+                bytes.put_slice(text);
+            }
+            PeerMessage::Directory { message } => {
+                bytes.put_u8(DIRECTORY);
+                bytes.put_slice(message);
+            }
         }
     }
 
@@ -319,6 +368,14 @@ impl PeerMessage {
             BYE => PeerMessage::Leaving,
             FULL => PeerMessage::NotReady { binding: number(reader)? },
             ROOM => PeerMessage::Ready { binding: number(reader)? },
+            IN_SAFE_STATE => {
+                PeerMessage::InSafeState { reason: reader.text(REASON_MAX, "a reason")? }
+            }
+            AT_WORK => PeerMessage::AtWork,
+            ROSTER_SERIAL => PeerMessage::RosterSerial { serial: reader.varint()? },
+            ROSTER_REQUEST => PeerMessage::RosterRequest,
+            ROSTER => PeerMessage::Roster { text: rest(reader, ROSTER_MAX, "a roster")? },
+            DIRECTORY => PeerMessage::Directory { message: reader.rest() },
             _ => return Err(WireError::Malformed { what: "a message's kind" }),
         };
         reader.end("a message")?;
@@ -466,6 +523,12 @@ mod tests {
             (PeerMessage::Leaving, b"\x0e"),
             (PeerMessage::NotReady { binding: 200 }, b"\x0f\xc8\x01"),
             (PeerMessage::Ready { binding: 200 }, b"\x10\xc8\x01"),
+            (PeerMessage::InSafeState { reason: "heat".into() }, b"\x13\x04heat"),
+            (PeerMessage::AtWork, b"\x14"),
+            (PeerMessage::RosterSerial { serial: 300 }, b"\x15\xac\x02"),
+            (PeerMessage::RosterRequest, b"\x16"),
+            (PeerMessage::Roster { text: payload.clone() }, b"\x17xy"),
+            (PeerMessage::Directory { message: payload.clone() }, b"\x18xy"),
         ]
     }
 
