@@ -1,6 +1,5 @@
 //! An actor in the place of a medium.
 
-use crate::network::SimulatedNetwork;
 use crate::record::Record;
 use actix::prelude::*;
 use blastema_contract::transport::{
@@ -9,7 +8,6 @@ use blastema_contract::transport::{
 };
 use bytes::Bytes;
 use std::sync::Arc;
-use std::time::Duration;
 
 /// The largest frame of a mock: that of UDP on loopback, near enough.
 const MTU: usize = 64 * 1024;
@@ -39,23 +37,10 @@ pub struct MockTransport {
 impl MockTransport {
     /// A medium on the present arbiter, open at this name, with no node at its other end.
     pub fn start(name: &str) -> Self {
-        MockTransport::on(name, None)
-    }
-
-    /// Two media, open at `left` and `right`, connected with each other by a network that can be
-    /// made bad and cut.
-    pub fn pair(seed: u64) -> (Self, Self, SimulatedNetwork) {
-        let network = SimulatedNetwork::new(seed);
-        (network.end("left"), network.end("right"), network)
-    }
-
-    pub(crate) fn on(name: &str, network: Option<SimulatedNetwork>) -> Self {
         let name: Arc<str> = name.into();
         let (sent, adopted) = (Record::default(), Record::default());
         let local = MediumAddress::Memory(name.clone());
         let medium = Medium {
-            name: name.clone(),
-            network: network.clone(),
             attach: None,
             state: TransportReport::Opened { local, mtu: MTU, is_probed: false },
             sent: sent.clone(),
@@ -63,9 +48,6 @@ impl MockTransport {
             counters: TransportCounters::default(),
         };
         let address = medium.start();
-        if let Some(network) = network {
-            network.enter(&name, address.clone().recipient());
-        }
         MockTransport { name, address, sent, adopted }
     }
 
@@ -123,21 +105,11 @@ impl MockTransport {
 
 /// The mock's actor.
 struct Medium {
-    name: Arc<str>,
-    network: Option<SimulatedNetwork>,
     attach: Option<Attach>,
     state: TransportReport,
     sent: Record<Transmit>,
     adopted: Record<Adopt>,
     counters: TransportCounters,
-}
-
-/// A frame comes over the simulated network.
-#[derive(Message)]
-#[rtype(result = "()")]
-pub(crate) struct Arrival {
-    pub(crate) from: Arc<str>,
-    pub(crate) frame: Bytes,
 }
 
 #[derive(Message)]
@@ -168,15 +140,6 @@ impl Medium {
             attach.reports.do_send(report);
         }
     }
-
-    /// Comes back when the next frame on this way is due.
-    fn await_turn(&self, to: Arc<str>, after: Option<Duration>, context: &mut Context<Self>) {
-        let (Some(after), Some(network)) = (after, self.network.clone()) else { return };
-        context.run_later(after, move |medium, context| {
-            let after = network.turn(&medium.name, &to);
-            medium.await_turn(to, after, context);
-        });
-    }
 }
 
 impl Actor for Medium {
@@ -186,28 +149,12 @@ impl Actor for Medium {
 impl Handler<Transmit> for Medium {
     type Result = ();
 
-    fn handle(&mut self, message: Transmit, context: &mut Context<Self>) {
-        self.sent.push(message.clone());
-        let Transmit { to, frame, .. } = message;
-        let open = matches!(self.state, TransportReport::Opened { .. });
-        match (&self.network, to) {
-            (Some(network), MediumAddress::Memory(to)) if open => {
-                self.counters.sent += 1;
-                let after = network.transmit(&self.name, &to, frame.into_bytes());
-                self.await_turn(to, after, context);
-            }
-            (None, _) if open => self.counters.sent += 1,
+    fn handle(&mut self, message: Transmit, _: &mut Context<Self>) {
+        self.sent.push(message);
+        match self.state {
+            TransportReport::Opened { .. } => self.counters.sent += 1,
             _ => self.counters.dropped += 1,
         }
-    }
-}
-
-impl Handler<Arrival> for Medium {
-    type Result = ();
-
-    fn handle(&mut self, message: Arrival, _: &mut Context<Self>) {
-        let Arrival { from, frame } = message;
-        self.deliver(Received { from: MediumAddress::Memory(from), frame });
     }
 }
 
@@ -260,9 +207,6 @@ impl Handler<Close> for Medium {
     type Result = ();
 
     fn handle(&mut self, _: Close, context: &mut Context<Self>) {
-        if let Some(network) = &self.network {
-            network.leave(&self.name);
-        }
         self.report(TransportReport::Ended);
         context.stop();
     }
@@ -316,23 +260,6 @@ mod tests {
 
             let closed = TransportReport::Closed { reason: "unplugged".into() };
             assert_eq!(reports.expect().await, closed);
-        });
-    }
-
-    #[test]
-    fn a_pair_carries_frames_both_ways() {
-        paused(async {
-            let (left, right, _network) = MockTransport::pair(1);
-            let ((at_left, _), (at_right, _)) = (attach(&left), attach(&right));
-
-            let forth = Transmit::new(right.local(), "forth".into());
-            left.transport().transmit.do_send(forth);
-            let back = Transmit::new(left.local(), "back".into());
-            right.transport().transmit.do_send(back);
-
-            let (from, frame) = (left.local(), Bytes::from("forth"));
-            assert_eq!(at_right.expect().await, Received { from, frame });
-            assert_eq!(at_left.expect().await.frame, "back");
         });
     }
 }
