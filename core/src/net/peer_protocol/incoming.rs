@@ -4,8 +4,8 @@ use super::access::{PeerBound, PeerSubscription};
 use super::peer::{Binding, PendingCall, QueuedMessage};
 use super::reply_cache::RequestVerdict;
 use super::{
-    BINDINGS_MAX, CALLS_MAX, MessageTarget, PeerProtocol, PeerProtocolOutput, TopicContract,
-    control, refuse,
+    BINDINGS_MAX, CALLS_MAX, MessageTarget, PeerProtocol, PeerProtocolOutput, RemoteTopic,
+    TopicContract, control, refuse,
 };
 use crate::net::wire::message::{PeerMessage, TICK_US};
 use crate::net::wire::node_id::NodeId;
