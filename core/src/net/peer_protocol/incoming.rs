@@ -7,11 +7,14 @@ use super::{
     BINDINGS_MAX, CALLS_MAX, MessageTarget, PeerProtocol, PeerProtocolOutput, RemoteTopic,
     TopicContract, control, refuse,
 };
-use crate::net::wire::message::{PeerMessage, TICK_US};
+use crate::net::wire::message::{FORMS_MAX, PeerMessage, TICK_US};
 use crate::net::wire::node_id::NodeId;
 use crate::{DeliveryError, GatherBuffer, Instant, ObjectName, PeerIdentity, TrafficClass};
 use bytes::Bytes;
 use std::time::Duration;
+
+/// The longest name of a topic, in bytes.
+const TOPIC_MAX: usize = 255;
 
 impl PeerProtocol {
     /// A peer says something.
@@ -161,7 +164,7 @@ impl PeerProtocol {
         }
     }
 
-    fn handle_bind(&mut self, peer: NodeId, binding: u32, object: ObjectName, identity: &Bytes) {
+    fn handle_bind(&mut self, peer: NodeId, binding: u32, object: ObjectName, identity: &Vec<u8>) {
         let Some(session) = self.peers.get(&peer).and_then(|peer| peer.session.as_ref()) else {
             return;
         };
@@ -173,7 +176,7 @@ impl PeerProtocol {
         let identity = self.take_in(peer, std::slice::from_ref(identity));
         let Some(identity) = identity.and_then(|mut all| all.pop()).map(Box::new) else {
             let why = DeliveryError::Undecodable { reason: "the contract's identity".into() };
-            let refused = PeerMessage::BindRefused { binding, why, identity: Bytes::new() };
+            let refused = PeerMessage::BindRefused { binding, why, identity: Vec::new() };
             self.outputs.push_back(control(peer, &refused));
             return;
         };
@@ -195,7 +198,7 @@ impl PeerProtocol {
         peer: NodeId,
         subscription: u32,
         topic: String,
-        identities: &[Bytes],
+        identities: &[Vec<u8>],
     ) {
         let session = self.peers.get(&peer).and_then(|peer| peer.session.as_ref());
         if session.is_none_or(|session| session.subscriptions.contains_key(&subscription)) {
@@ -204,7 +207,9 @@ impl PeerProtocol {
         }
         // A topic carries one contract, in several versions.
         let of_one = |all: &Vec<PeerIdentity>| {
-            all.first().is_some_and(|first| all.iter().all(|other| other.name == first.name))
+            topic.len() <= TOPIC_MAX
+                && all.len() <= FORMS_MAX
+                && all.first().is_some_and(|first| all.iter().all(|other| other.name == first.name))
         };
         let Some(identities) = self.take_in(peer, identities).filter(of_one) else {
             let why = DeliveryError::Undecodable { reason: "the contract's identity".into() };
@@ -225,7 +230,7 @@ impl PeerProtocol {
     }
 
     /// A peer wants something new of us: within bounds, and with a contract that can be read.
-    fn take_in(&mut self, peer: NodeId, identities: &[Bytes]) -> Option<Vec<PeerIdentity>> {
+    fn take_in(&mut self, peer: NodeId, identities: &[Vec<u8>]) -> Option<Vec<PeerIdentity>> {
         let session = self.peers.get(&peer)?.session.as_ref()?;
         if session.bound.len() + session.subscriptions.len() >= BINDINGS_MAX {
             self.refusals.too_large += 1;
