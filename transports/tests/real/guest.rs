@@ -429,16 +429,16 @@ async fn serve(mut port: tokio_serial::SerialStream, said: actix::Recipient<Said
                 continue;
             };
             match Line::decode(&line) {
-                Ok(Line::Send(frame)) => {
+                Some(Line::Send(frame)) => {
                     let id = ExtendedId::new(frame.id().number()).unwrap();
                     bus.write_frame(&CanDataFrame::new(id, frame.data()).unwrap()).unwrap();
                     AdapterReply::Sent.encode(&mut answers);
                 }
-                Ok(command) => {
+                Some(command) => {
                     said.do_send(Said(command));
                     AdapterReply::Done.encode(&mut answers);
                 }
-                Err(_) => AdapterReply::Refused.encode(&mut answers),
+                None => AdapterReply::Refused.encode(&mut answers),
             }
         }
         AsyncWriteExt::write_all(&mut port, &answers).await.unwrap();

@@ -103,8 +103,8 @@ impl Addressing {
     /// is the speaker's business.
     pub fn parties(self, id: CanId) -> Option<AddressInfo> {
         let number = id.number();
-        let (to_all, target, source) = match (self, id) {
-            (Addressing::Extended { .. }, CanId::Extended(_)) => {
+        let (to_all, target, source) = match (self, id.is_extended()) {
+            (Addressing::Extended { .. }, true) => {
                 let kind = number >> 16 & 0x3ff;
                 let target = number >> 8 & 0xff;
                 // "To one" with an address that no node has, or "to all" of some group: not ours.
@@ -115,7 +115,7 @@ impl Addressing {
                 };
                 (to_all, target, number & 0xff)
             }
-            (Addressing::Standard, CanId::Standard(_)) if number & SHORT != 0 => {
+            (Addressing::Standard, false) if number & SHORT != 0 => {
                 let target = number >> 5 & 0x1f;
                 (target == ALL_OF_FIVE_BITS, target, number & 0x1f)
             }

@@ -12,62 +12,41 @@ pub(crate) const FD_LENGTHS: [usize; 7] = [12, 16, 20, 24, 32, 48, 64];
 const STANDARD_MAX: u32 = 0x7ff;
 const EXTENDED_MAX: u32 = 0x1fff_ffff;
 
-/// What a frame is about. On the bus, of two that begin at the same time the lower number goes
-/// first.
+/// What a frame is about: a number of 11 bits, or one of 29. On the bus, of two that begin at the
+/// same time the lower number goes first.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum CanId {
-    /// An identifier of 11 bits.
-    Standard(StandardId),
-    /// An identifier of 29 bits.
-    Extended(ExtendedId),
+pub struct CanId {
+    is_extended: bool,
+    number: u32,
 }
-
-/// A number of 11 bits.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct StandardId(u16);
-
-/// A number of 29 bits.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct ExtendedId(u32);
 
 impl CanId {
     /// An identifier of 11 bits; `None` where the number has more.
     pub const fn standard(number: u32) -> Option<Self> {
-        match number {
-            0..=STANDARD_MAX => Some(CanId::Standard(StandardId(number as u16))),
-            _ => None,
-        }
+        if number > STANDARD_MAX { None } else { Some(CanId { is_extended: false, number }) }
     }
 
     /// An identifier of 29 bits; `None` where the number has more.
     pub const fn extended(number: u32) -> Option<Self> {
-        match number {
-            0..=EXTENDED_MAX => Some(CanId::Extended(ExtendedId(number))),
-            _ => None,
-        }
+        if number > EXTENDED_MAX { None } else { Some(CanId { is_extended: true, number }) }
     }
 
     /// Its number, whatever its kind.
     pub const fn number(self) -> u32 {
-        match self {
-            CanId::Standard(StandardId(number)) => number as u32,
-            CanId::Extended(ExtendedId(number)) => number,
-        }
+        self.number
     }
 
     /// Whether it has 29 bits.
     pub const fn is_extended(self) -> bool {
-        matches!(self, CanId::Extended(_))
+        self.is_extended
     }
 }
 
 /// As `candump` writes it: three digits for 11 bits, eight for 29.
 impl fmt::Display for CanId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            CanId::Standard(id) => write!(f, "{:03X}", id.0),
-            CanId::Extended(id) => write!(f, "{:08X}", id.0),
-        }
+        let width = if self.is_extended { 8 } else { 3 };
+        write!(f, "{:0width$X}", self.number)
     }
 }
 

@@ -28,9 +28,7 @@ mod reception;
 mod transmission;
 
 pub use config::IsoTpConfig;
-pub use pdu::{
-    FlowControl, FlowStatus, Pdu, PduError, PduWriter, SHORT_LENGTH_MAX, SeparationTime,
-};
+pub use pdu::{FlowControl, FlowStatus, Pdu, PduWriter, SHORT_LENGTH_MAX, SeparationTime};
 pub use reception::ReceptionError;
 pub use transmission::TransmissionError;
 
@@ -189,7 +187,7 @@ impl IsoTp {
         }
         let lane = self.outgoing.entry(to).or_default();
         if lane.current.is_none() {
-            lane.current = Some(Transmission::new(message, target(to), &self.config, now));
+            lane.current = Some(Transmission::new(message, target(to), now));
             return Ok(());
         }
         let queue = if urgent { &mut lane.urgent } else { &mut lane.waiting };
@@ -213,16 +211,16 @@ impl IsoTp {
             return;
         }
         match Pdu::decode(frame.data()) {
-            Ok(Pdu::Flow(flow)) => self.handle_flow(source, to_all, flow, now),
-            Ok(pdu) => self.handle_content(source, to_all, pdu, now),
-            Err(_) => self.outputs.push_back(IsoTpOutput::Refused),
+            Some(Pdu::Flow(flow)) => self.handle_flow(source, to_all, flow, now),
+            Some(pdu) => self.handle_content(source, to_all, pdu, now),
+            None => self.outputs.push_back(IsoTpOutput::Refused),
         }
     }
 
     fn handle_flow(&mut self, source: BusAddress, to_all: bool, flow: FlowControl, now: Instant) {
         let lane = self.outgoing.get_mut(&source).filter(|_| !to_all);
         let current = lane.and_then(|lane| lane.current.as_mut());
-        let asked = current.is_some_and(|current| current.handle_flow(flow, &self.config, now));
+        let asked = current.is_some_and(|current| current.handle_flow(flow, now));
         if !asked {
             self.outputs.push_back(IsoTpOutput::Refused);
         }
@@ -293,7 +291,7 @@ impl IsoTp {
         let id = id.expect("messages are taken for addresses of this bus only");
         let writer = PduWriter { id, format: self.config.format };
         let current = self.outgoing.get_mut(&to)?.current.as_mut()?;
-        let frame = current.poll_frame(&writer, &self.config, now);
+        let frame = current.poll_frame(&writer, now);
         self.last = to;
         self.settle(to, now);
         frame
@@ -316,7 +314,7 @@ impl IsoTp {
         });
         match lane.urgent.pop_front().or_else(|| lane.waiting.pop_front()) {
             Some(message) => {
-                lane.current = Some(Transmission::new(message, target(to), &self.config, now));
+                lane.current = Some(Transmission::new(message, target(to), now));
             }
             None => drop(self.outgoing.remove(&to)),
         }
@@ -353,7 +351,7 @@ impl Machine for IsoTp {
         for to in late {
             let current = self.outgoing.get_mut(&to).and_then(|lane| lane.current.as_mut());
             if let Some(current) = current {
-                current.handle_timeout(&self.config, now);
+                current.handle_timeout(now);
             }
             self.settle(to, now);
         }
