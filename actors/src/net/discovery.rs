@@ -14,9 +14,7 @@ use blastema_contract::transport::{
     Attach, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
 use blastema_core::net::LinkId;
-use blastema_core::net::discovery::{
-    Discovery, DiscoveryAdmission, DiscoveryConfig, DiscoveryOutput,
-};
+use blastema_core::net::discovery::{Discovery, DiscoveryAdmission, DiscoveryOutput};
 use blastema_core::net::refusal_alarms::RefusalAlarms;
 use blastema_core::net::trust::beacon::{BeaconKeys, CheckedBeacon};
 use blastema_core::sorted::{SortedMap, SortedSet};
@@ -176,7 +174,7 @@ impl DiscoveryActor {
 fn begin(wiring: &DiscoveryRecipients) -> Discovery {
     let admissions = wiring.fields.iter().map(|field| field.spec.admission.clone()).collect();
     let now = platform::now();
-    let mut machine = Discovery::new(DiscoveryConfig::new(wiring.node.clone(), admissions));
+    let mut machine = Discovery::new(wiring.node.clone(), admissions);
     for (domain, field) in wiring.fields.iter().enumerate() {
         for (node, address) in &field.described {
             machine.handle_link((domain, node.clone()), address.to_string(), false, now);

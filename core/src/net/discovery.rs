@@ -23,6 +23,12 @@ const TRIED_MAX: usize = 16;
 /// Addresses that did not prove themselves; the oldest is forgotten first.
 const FAILED_MAX: usize = 256;
 
+/// How long what was learned may take to prove itself; after that it is not tried again for six
+/// times as long. A link that has failed often needs 48 hellos, of 50 ms: and as much again.
+const PROVE_WITHIN: Duration = Duration::from_secs(5);
+/// How long a learned neighbour that is down is still tried.
+const FORGET_AFTER: Duration = Duration::from_secs(600);
+
 /// Which nodes are admitted as neighbours that are not described.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum DiscoveryAdmission {
@@ -37,34 +43,6 @@ impl DiscoveryAdmission {
         match self {
             DiscoveryAdmission::AnyNode => true,
             DiscoveryAdmission::Only(names) => names.contains(node),
-        }
-    }
-}
-
-/// How neighbours are learned.
-#[derive(Clone, Debug)]
-pub struct DiscoveryConfig {
-    /// The name of this node.
-    pub node: NodeName,
-    /// Who is admitted on each network, by the network's place.
-    pub admissions: Vec<DiscoveryAdmission>,
-    /// How long what was learned may take to prove itself; after that it is not tried again for six
-    /// times as long. Longer suits slow media; a forged address is sent hellos for as long.
-    pub prove_within: Duration,
-    /// How long a learned neighbour that is down is still tried. Longer finds it again after longer
-    /// absences, and costs hellos for as long.
-    pub forget_after: Duration,
-}
-
-impl DiscoveryConfig {
-    /// The usual behaviour for this node.
-    pub fn new(node: NodeName, admissions: Vec<DiscoveryAdmission>) -> Self {
-        DiscoveryConfig {
-            node,
-            admissions,
-            // A link that has failed often needs 48 hellos, of 50 ms: and as much again.
-            prove_within: Duration::from_secs(5),
-            forget_after: Duration::from_secs(600),
         }
     }
 }
@@ -113,7 +91,10 @@ enum Origin {
 /// The neighbours of one node, described and learned.
 #[derive(Debug)]
 pub struct Discovery {
-    config: DiscoveryConfig,
+    /// The name of this node.
+    node: NodeName,
+    /// Which nodes are admitted on each network, by the network's place.
+    admissions: Vec<DiscoveryAdmission>,
     neighbours: SortedMap<(usize, NodeName), KnownNeighbour>,
     /// Addresses that did not prove themselves, and until when they are not tried.
     failed: SortedMap<(usize, String), Instant>,
@@ -122,10 +103,12 @@ pub struct Discovery {
 }
 
 impl Discovery {
-    /// No node is known yet.
-    pub fn new(config: DiscoveryConfig) -> Self {
+    /// Of this node, which knows no other yet. The admissions are those of its networks, by their
+    /// places.
+    pub fn new(node: NodeName, admissions: Vec<DiscoveryAdmission>) -> Self {
         Discovery {
-            config,
+            node,
+            admissions,
             neighbours: SortedMap::new(),
             failed: SortedMap::new(),
             refusals: Refusals::default(),
@@ -165,8 +148,7 @@ impl Discovery {
     /// The beacon of a node says where it is.
     pub fn handle_beacon(&mut self, domain: usize, node: NodeName, address: String, now: Instant) {
         let is_admitted = |admission: &DiscoveryAdmission| admission.admits(&node);
-        if node == self.config.node || !self.config.admissions.get(domain).is_some_and(is_admitted)
-        {
+        if node == self.node || !self.admissions.get(domain).is_some_and(is_admitted) {
             return;
         }
         if self.failed.get(&(domain, address.clone())).is_some_and(|until| now < *until) {
@@ -178,7 +160,7 @@ impl Discovery {
             Some(known) if known.origin == Origin::Described || known.up => return,
             Some(known) if known.address == address => return,
             // It has been away for a while, and may have come back elsewhere.
-            Some(known) if now < known.since + self.config.prove_within => return,
+            Some(known) if now < known.since + PROVE_WITHIN => return,
             Some(_) => {
                 self.neighbours.remove(&key);
                 self.outputs.push_back(DiscoveryOutput::Disconnect { domain, node: node.clone() });
@@ -205,14 +187,14 @@ impl Discovery {
             let first = first.0.clone();
             self.failed.remove(&first);
         }
-        self.failed.insert((domain, address), now + self.config.prove_within * 6);
+        self.failed.insert((domain, address), now + PROVE_WITHIN * 6);
     }
 
     /// When it is given up as what it is now; never what was described, nor who is up.
     fn ends(&self, known: &KnownNeighbour) -> Option<Instant> {
         match known.origin {
-            Origin::Tried => Some(known.since + self.config.prove_within),
-            Origin::Learned if !known.up => Some(known.since + self.config.forget_after),
+            Origin::Tried => Some(known.since + PROVE_WITHIN),
+            Origin::Learned if !known.up => Some(known.since + FORGET_AFTER),
             Origin::Learned | Origin::Described => None,
         }
     }

@@ -10,7 +10,7 @@ fn node(name: &str) -> NodeName {
 
 /// Node `a` with `b` described on its only network.
 fn beside_b(admission: DiscoveryAdmission) -> Discovery {
-    let mut a = Discovery::new(DiscoveryConfig::new(node("a"), vec![admission]));
+    let mut a = Discovery::new(node("a"), vec![admission]);
     a.handle_link((0, node("b")), "b:1".into(), true, ms(0));
     a
 }

@@ -45,7 +45,6 @@ use self::flap_damping::FlapDamping;
 use self::hello_schedule::HelloSchedule;
 use self::neighbour_record::NeighbourRecord;
 use self::path_mtu::{FrameSize, PathMtu};
-use self::quality::QualityLimits;
 use self::reassembly::RoutingReassembly;
 
 use super::wire::frame::{Echo, Frame, Hello, NameHolder};
@@ -78,6 +77,13 @@ pub struct Link {
 impl Link {
     /// What a medium adds to a frame: a UDP header, or a serial line's framing.
     const FRAMING: u64 = 8;
+    /// So many percent of an interval after its time, a missing hello makes the link suspect, and
+    /// takes it down: expected at 1, suspect at 2, down at 3.5 intervals after the last hello. Two
+    /// lost in a row divert traffic, three take the link down (ITU-T G.8013: 3.5 intervals). On a
+    /// link that loses hellos anyway, more must be missing, so that loss alone takes it down once
+    /// in some 100,000 hellos.
+    const SUSPECT_AFTER_PERCENT: u32 = 100;
+    const DOWN_AFTER_PERCENT: u32 = 250;
     /// A timer that is so late means that received frames may be unread. Timers alone are up to 1
     /// ms late.
     const LATE: Duration = Duration::from_millis(2);
@@ -371,12 +377,7 @@ impl Link {
     fn judge_quality(&mut self, now: Instant) {
         let Some(record) = &mut self.neighbour else { return };
         let Some(loss) = record.arrivals.loss_permille() else { return };
-        let limits = QualityLimits {
-            loss_permille: self.config.degraded_loss_permille,
-            // On a slow medium a round trip takes two frames and two hellos, when it is full.
-            round_trip: self.config.degraded_round_trip.max(self.hellos.interval),
-        };
-        if record.quality.judge(loss.max(record.loss_there), limits, now) {
+        if record.quality.judge(loss.max(record.loss_there), self.hellos.interval, now) {
             self.outputs.push_back(LinkOutput::Quality(record.quality.quality()));
         }
     }
@@ -388,7 +389,7 @@ impl Link {
     }
 
     fn down_after_percent(&self) -> u32 {
-        self.config.down_after_percent + 100 * hellos_beyond_three(self.quality().loss_permille)
+        Self::DOWN_AFTER_PERCENT + 100 * hellos_beyond_three(self.quality().loss_permille)
     }
 
     fn go_down(&mut self, reason: &'static str, now: Instant) {
@@ -465,7 +466,7 @@ impl Link {
         match self.state {
             LinkState::Up => {}
             LinkState::Suspect => {
-                let late = self.silent_at(self.config.suspect_after_percent);
+                let late = self.silent_at(Self::SUSPECT_AFTER_PERCENT);
                 if late.is_some_and(|due| due <= now) {
                     return;
                 }

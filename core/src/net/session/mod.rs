@@ -54,6 +54,7 @@ pub use self::output::{Refused, SessionCounters, SessionOutput};
 pub use self::status::{SessionState, SessionStatus};
 
 use self::best_effort::{BestEffortInbound, BestEffortOutbound};
+use self::config::WINDOW;
 use self::congestion::CongestionControl;
 use self::inbound::Inbound;
 use self::outbound::Outbound;
@@ -198,7 +199,7 @@ impl Session {
             before: None,
             unsettled: None,
         };
-        let congestion = CongestionControl::new(config.window_bytes);
+        let congestion = CongestionControl::new();
         Session {
             state: State::Idle,
             identity,
@@ -531,9 +532,9 @@ impl Session {
 impl StreamState {
     fn new(config: &SessionConfig) -> Self {
         StreamState {
-            outbound: Outbound::new(config.window),
-            inbound: Inbound::new(config.window, config.message_max),
-            rtt: RttEstimator::new(config.retransmit_min, config.retransmit_max),
+            outbound: Outbound::new(WINDOW),
+            inbound: Inbound::new(WINDOW, config.message_max),
+            rtt: RttEstimator::new(),
             retransmit_at: None,
         }
     }

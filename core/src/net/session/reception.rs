@@ -1,6 +1,7 @@
 //! What a session does with what arrives.
 
 use super::best_effort::DatagramStatus;
+use super::config::ACK_DELAY;
 use super::inbound::ChunkStatus;
 use super::{Session, SessionOutput, State};
 use crate::net::wire::packet::PacketPriority;
@@ -65,7 +66,7 @@ impl Session {
         const NARROW_MAX: Duration = Duration::from_millis(50);
         let trip = self.round_trip().filter(|_| self.is_narrow());
         let quarter = trip.map_or(Duration::ZERO, |trip| trip / 4);
-        self.config.ack_delay.max(quarter.min(NARROW_MAX))
+        ACK_DELAY.max(quarter.min(NARROW_MAX))
     }
 
     pub(super) fn handle_datagram(&mut self, datagram: Datagram) {
