@@ -17,7 +17,7 @@ use crate::frame_medium::{FrameMedium, MediumEvent, OpenedMedium, QueueLimits, S
 use blastema_contract::transport::MediumAddress;
 use blastema_core::medium::can::isotp::{EnqueueError, SeparationTime};
 use blastema_core::medium::can::{
-    Addressing, BusAddress, CanFrame, Format, IsoTp, IsoTpConfig, IsoTpOutput, bits_on_bus,
+    BusAddress, CanFrame, Format, IsoTp, IsoTpConfig, IsoTpOutput, bits_on_bus,
 };
 use blastema_core::{Instant, Machine};
 use bytes::{BufMut, Bytes, BytesMut};
@@ -127,13 +127,8 @@ impl<P: CanPort> CanNode<P> {
         config.queue_messages = queue_frames;
         config.block_size = block_size;
         config.separation = SeparationTime::at_least(separation);
-        let addressing = addressing(&self.config);
-        IsoTp::new(BusAddress(self.config.address), addressing, config).ok_or_else(|| {
-            let last = (0..=u8::MAX).rev().find(|last| addressing.names(BusAddress(*last)));
-            let (address, last) = (self.config.address, last.unwrap_or_default());
-            io::Error::other(format!(
-                "no node can have the address {address}: choose one from 0 to {last}"
-            ))
+        IsoTp::new(BusAddress(self.config.address), config).ok_or_else(|| {
+            io::Error::other("no node can have the address 255: choose one from 0 to 254")
         })
     }
 
@@ -297,7 +292,7 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
         // Of each part of a message all but one byte is the message's. A faster rate for the data
         // of CAN FD is not counted on.
         let part = self.format.capacity();
-        let bits = bits_on_bus(!self.config.short_ids, part);
+        let bits = bits_on_bus(true, part);
         Some((part as u64 - 1) * u64::from(self.port.bitrate()) / bits)
     }
 
@@ -357,11 +352,6 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
         self.arrivals.clear();
         self.timer = None;
     }
-}
-
-/// How this node's bus writes addresses into identifiers.
-pub(crate) fn addressing(config: &CanNodeConfig) -> Addressing {
-    if config.short_ids { Addressing::Standard } else { Addressing::default() }
 }
 
 /// A frame with its checksum.

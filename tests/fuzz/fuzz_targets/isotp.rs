@@ -5,7 +5,7 @@
 
 use blastema_core::medium::can::isotp::SeparationTime;
 use blastema_core::medium::can::{
-    AddressInfo, Addressing, BusAddress, CanFrame, Format, IsoTp, IsoTpConfig, IsoTpOutput,
+    AddressInfo, BusAddress, CanFrame, Format, IsoTp, IsoTpConfig, IsoTpOutput,
 };
 use blastema_core::{Instant, Machine};
 use bytes::Bytes;
@@ -22,7 +22,7 @@ fuzz_target!(|script: (u8, u8, bool, Vec<(u8, u16, Vec<u8>)>)| {
     (config.message_max, config.receptions_max) = (LIMIT, 2);
     let own = BusAddress(1);
     let mut now = Instant::from_millis(1);
-    let mut node = IsoTp::new(own, Addressing::default(), config).expect("an address");
+    let mut node = IsoTp::new(own, config).expect("an address");
     // What is said to all under our own address is received: it may be another's claim to it.
     let mut own_to_all = false;
     let drain = |node: &mut IsoTp, now, own_to_all: bool| {
@@ -50,7 +50,7 @@ fuzz_target!(|script: (u8, u8, bool, Vec<(u8, u16, Vec<u8>)>)| {
             let target = if who & 0x40 != 0 { BusAddress::ALL } else { own };
             let parties = AddressInfo { source: BusAddress(who & 7), target };
             own_to_all |= parties.source == own && target == BusAddress::ALL;
-            let id = Addressing::default().id(parties).expect("addresses of this bus");
+            let id = parties.id().expect("addresses of this bus");
             let format = if who & 0x20 != 0 { Format::Fd { fast: false } } else { Format::Classic };
             if let Some(frame) = CanFrame::new(id, format, &data) {
                 node.handle_frame(&frame, now);

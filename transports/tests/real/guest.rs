@@ -12,7 +12,7 @@ use blastema_core::medium::can::slcan::{
     AdapterCommand as Line, AdapterReply, BitRate, LineSplitter,
 };
 use blastema_core::medium::can::{
-    Addressing, BusAddress, CanFrame, CanId, Format, IsoTp, IsoTpConfig, IsoTpOutput, slcan,
+    BusAddress, CanFrame, CanId, Format, IsoTp, IsoTpConfig, IsoTpOutput, slcan,
 };
 use blastema_core::{Instant, Machine};
 use blastema_doubles::{Probe, now};
@@ -284,7 +284,7 @@ impl Ours {
         let mut config = IsoTpConfig::default();
         (config.format, config.block_size, config.message_max) = (format, block_size, 10_000);
         config.separation = SeparationTime::at_least(Duration::from_millis(separation_ms));
-        let machine = IsoTp::new(BusAddress(1), Addressing::default(), config).unwrap();
+        let machine = IsoTp::new(BusAddress(1), config).unwrap();
         let socket = CanFdSocket::open("vcan0").unwrap();
         socket.set_read_timeout(Duration::from_millis(1)).unwrap();
         Ours { machine, socket }

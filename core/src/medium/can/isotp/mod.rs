@@ -34,8 +34,8 @@ pub use transmission::TransmissionError;
 
 use self::reception::{FrameResult, Reception, ReceptionContext};
 use self::transmission::{TargetType, Transmission};
-use super::address::{AddressInfo, Addressing, BusAddress};
-use super::frame::CanFrame;
+use super::address::{AddressInfo, BusAddress};
+use super::frame::{CanFrame, Format};
 use crate::sorted::SortedMap;
 use crate::{Instant, Machine};
 use bytes::Bytes;
@@ -45,9 +45,9 @@ use std::collections::VecDeque;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum EnqueueError {
-    /// No node of this bus can have the address.
-    #[error("no node on this bus can have the address {to}")]
-    NoSuchAddress {
+    /// It is for this node itself.
+    #[error("{to} is the address of this node itself")]
+    Ourselves {
         /// The address that was given.
         to: BusAddress,
     },
@@ -111,7 +111,6 @@ pub enum IsoTpOutput {
 #[derive(Debug)]
 pub struct IsoTp {
     own: BusAddress,
-    addressing: Addressing,
     config: IsoTpConfig,
     outgoing: SortedMap<BusAddress, Lane>,
     /// What is under way to us, by source, and whether it is to all.
@@ -132,10 +131,9 @@ struct Lane {
 
 impl IsoTp {
     /// A node with this address; `None` where no node can have it.
-    pub fn new(own: BusAddress, addressing: Addressing, config: IsoTpConfig) -> Option<Self> {
-        addressing.names(own).then(|| IsoTp {
+    pub fn new(own: BusAddress, config: IsoTpConfig) -> Option<Self> {
+        (own != BusAddress::ALL).then(|| IsoTp {
             own,
-            addressing,
             config,
             outgoing: SortedMap::new(),
             incoming: SortedMap::new(),
@@ -178,8 +176,8 @@ impl IsoTp {
         urgent: bool,
         now: Instant,
     ) -> Result<(), EnqueueError> {
-        if to == self.own || to != BusAddress::ALL && !self.addressing.names(to) {
-            return Err(EnqueueError::NoSuchAddress { to });
+        if to == self.own {
+            return Err(EnqueueError::Ourselves { to });
         }
         let (length, limit) = (message.len(), self.config.message_max);
         if length == 0 || length > limit {
@@ -200,7 +198,7 @@ impl IsoTp {
 
     /// A frame came from the bus.
     pub fn handle_frame(&mut self, frame: &CanFrame, now: Instant) {
-        let parties = self.addressing.parties(frame.id()).filter(|_| !frame.is_remote());
+        let parties = AddressInfo::of(frame.id()).filter(|_| !frame.is_remote());
         // Others are of other things on the bus: no fault at all.
         let Some(AddressInfo { source, target }) = parties else { return };
         if source == self.own {
@@ -264,9 +262,7 @@ impl IsoTp {
     fn poll_answer(&mut self, now: Instant) -> Option<CanFrame> {
         let (&(source, to_all), reception) =
             self.incoming.iter_mut().find(|(_, reception)| reception.is_ready())?;
-        let id = self.addressing.id(AddressInfo { source: self.own, target: source });
-        let id = id.expect("this node and the sender have addresses of this bus");
-        let writer = PduWriter { id, format: self.config.format };
+        let writer = writer(self.own, source, self.config.format);
         let context = ReceptionContext { config: &self.config, now };
         let frame = reception.poll_frame(&writer, context);
         if reception.is_idle() {
@@ -287,9 +283,7 @@ impl IsoTp {
 
     fn poll_message(&mut self, now: Instant) -> Option<CanFrame> {
         let to = self.turn()?;
-        let id = self.addressing.id(AddressInfo { source: self.own, target: to });
-        let id = id.expect("messages are taken for addresses of this bus only");
-        let writer = PduWriter { id, format: self.config.format };
+        let writer = writer(self.own, to, self.config.format);
         let current = self.outgoing.get_mut(&to)?.current.as_mut()?;
         let frame = current.poll_frame(&writer, now);
         self.last = to;
@@ -323,6 +317,11 @@ impl IsoTp {
     fn fail(&mut self, from: BusAddress, error: ReceptionError) {
         self.outputs.push_back(IsoTpOutput::NotReceived { from, error });
     }
+}
+
+fn writer(own: BusAddress, target: BusAddress, format: Format) -> PduWriter {
+    let id = AddressInfo { source: own, target }.id();
+    PduWriter { id: id.expect("this node has an address"), format }
 }
 
 fn target(to: BusAddress) -> TargetType {

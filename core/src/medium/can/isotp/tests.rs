@@ -11,7 +11,7 @@ fn at(millis: u64) -> Instant {
 }
 
 fn node(address: u8, config: IsoTpConfig) -> IsoTp {
-    IsoTp::new(BusAddress(address), Addressing::default(), config).unwrap()
+    IsoTp::new(BusAddress(address), config).unwrap()
 }
 
 fn message(length: usize, seed: u8) -> Bytes {
@@ -133,32 +133,30 @@ fn nodes_of_both_formats_understand_each_other() {
 
 #[test]
 fn every_node_can_speak_to_every_other_at_one_time_and_to_all() {
-    for addressing in [Addressing::default(), Addressing::Standard] {
-        let new = |own| IsoTp::new(BusAddress(own), addressing, large(Format::Classic)).unwrap();
-        let mut bus = Bus::new((0..8).map(new).collect());
-        let targets = || (0..8).map(BusAddress).chain([BusAddress::ALL]);
-        for own in 0..8_u8 {
-            for to in targets().filter(|to| *to != BusAddress(own)) {
-                let message = message(100 + usize::from(to.0), own);
-                let taken = bus.nodes[usize::from(own)].handle_message(to, message, bus.now);
-                assert_eq!(taken, Ok(()));
-            }
+    let new = |own| node(own, large(Format::Classic));
+    let mut bus = Bus::new((0..8).map(new).collect());
+    let targets = || (0..8).map(BusAddress).chain([BusAddress::ALL]);
+    for own in 0..8_u8 {
+        for to in targets().filter(|to| *to != BusAddress(own)) {
+            let message = message(100 + usize::from(to.0), own);
+            let taken = bus.nodes[usize::from(own)].handle_message(to, message, bus.now);
+            assert_eq!(taken, Ok(()));
         }
+    }
 
-        bus.run();
+    bus.run();
 
-        for own in 0..8_u8 {
-            let mut received = bus.received(own.into());
-            received.sort();
-            let mut expected: Vec<_> = (0..8)
-                .filter(|from| *from != own)
-                .flat_map(|from| {
-                    [own, 255].map(|to| (BusAddress(from), message(100 + usize::from(to), from)))
-                })
-                .collect();
-            expected.sort();
-            assert!(received == expected, "{own} got {:?}", shape(&received));
-        }
+    for own in 0..8_u8 {
+        let mut received = bus.received(own.into());
+        received.sort();
+        let mut expected: Vec<_> = (0..8)
+            .filter(|from| *from != own)
+            .flat_map(|from| {
+                [own, 255].map(|to| (BusAddress(from), message(100 + usize::from(to), from)))
+            })
+            .collect();
+        expected.sort();
+        assert!(received == expected, "{own} got {:?}", shape(&received));
     }
 }
 
@@ -201,7 +199,7 @@ fn what_cannot_be_sent_is_refused_with_the_reason() {
     let mut check = |to, length, expected| {
         assert_eq!(node.handle_message(BusAddress(to), message(length, 0), at(1)), expected);
     };
-    check(1, 5, Err(EnqueueError::NoSuchAddress { to: BusAddress(1) }));
+    check(1, 5, Err(EnqueueError::Ourselves { to: BusAddress(1) }));
     check(2, 0, Err(EnqueueError::Length { length: 0, limit: 1024 }));
     check(2, 1025, Err(EnqueueError::Length { length: 1025, limit: 1024 }));
     check(2, 1024, Ok(())); // Under way.
@@ -209,7 +207,7 @@ fn what_cannot_be_sent_is_refused_with_the_reason() {
     check(2, 1024, Ok(()));
     check(2, 1024, Err(EnqueueError::Full { to: BusAddress(2) }));
     check(3, 1024, Ok(()));
-    assert!(IsoTp::new(BusAddress::ALL, Addressing::default(), IsoTpConfig::default()).is_none());
+    assert!(IsoTp::new(BusAddress::ALL, IsoTpConfig::default()).is_none());
 }
 
 #[test]
@@ -217,7 +215,7 @@ fn what_comes_in_wrong_is_told_by_its_kind_and_harms_nothing() {
     let mut node = node(1, IsoTpConfig { receptions_max: 1, ..IsoTpConfig::default() });
     let mut hear = |from: u8, to: u8, data: &[u8]| {
         let parties = AddressInfo { source: BusAddress(from), target: BusAddress(to) };
-        let id = Addressing::default().id(parties).unwrap();
+        let id = parties.id().unwrap();
         node.handle_frame(&CanFrame::new(id, Format::Classic, data).unwrap(), at(1));
         std::iter::from_fn(|| node.poll_output()).collect::<Vec<_>>()
     };
@@ -236,7 +234,7 @@ fn what_comes_in_wrong_is_told_by_its_kind_and_harms_nothing() {
     assert_eq!(hear(2, 1, b"\x10\x10abcdef"), [many]);
     let foreign = CanFrame::new(CanId::standard(1).unwrap(), Format::Classic, b"\x01a").unwrap();
     node.handle_frame(&foreign, at(1));
-    let id = Addressing::default().id(AddressInfo { source: from, target: BusAddress(1) }).unwrap();
+    let id = AddressInfo { source: from, target: BusAddress(1) }.id().unwrap();
     node.handle_frame(&CanFrame::remote(id, 2).unwrap(), at(1));
     assert_eq!(node.poll_output(), None, "other things on the bus are no fault");
 }
@@ -336,7 +334,7 @@ proptest! {
             let _ = node.handle_message(BusAddress(2), message(100, 0), now);
             let to = if from == 5 { BusAddress::ALL } else { BusAddress(1) };
             let parties = AddressInfo { source: BusAddress(from), target: to };
-            let id = Addressing::default().id(parties).unwrap();
+            let id = parties.id().unwrap();
             if let Some(frame) = CanFrame::new(id, Format::Classic, &data) {
                 node.handle_frame(&frame, now);
             }
