@@ -1,6 +1,7 @@
 //! How good a link is, and what that makes it cost.
 
 use crate::Instant;
+use crate::net::smooth;
 use std::time::Duration;
 
 /// How good a link is, as measured.
@@ -54,21 +55,9 @@ impl QualityEstimator {
         self.quality
     }
 
-    /// A round trip was measured. RFC 6298's smoothing: an eighth of each new round trip, a quarter
-    /// of each deviation.
+    /// A round trip was measured.
     pub(super) fn handle_round_trip(&mut self, sample: Duration) {
-        let quality = &mut self.quality;
-        match quality.round_trip {
-            None => {
-                quality.round_trip = Some(sample);
-                quality.jitter = sample / 2;
-            }
-            Some(smoothed) => {
-                let deviation = smoothed.abs_diff(sample);
-                quality.jitter = (quality.jitter * 3 + deviation) / 4;
-                quality.round_trip = Some((smoothed * 7 + sample) / 8);
-            }
-        }
+        smooth(&mut self.quality.round_trip, &mut self.quality.jitter, sample);
     }
 
     /// Judges again; returns whether that must be reported. On a slow medium a round trip takes two

@@ -1,5 +1,6 @@
 //! How long an answer takes, and how long to wait for one (RFC 6298).
 
+use crate::net::smooth;
 use std::time::Duration;
 
 /// The estimator of one session.
@@ -41,16 +42,7 @@ impl RttEstimator {
     /// An answer took so long.
     pub(crate) fn measure(&mut self, sample: Duration) {
         self.progress();
-        match self.smoothed {
-            None => {
-                self.smoothed = Some(sample);
-                self.deviation = sample / 2;
-            }
-            Some(smoothed) => {
-                self.deviation = (self.deviation * 3 + smoothed.abs_diff(sample)) / 4;
-                self.smoothed = Some((smoothed * 7 + sample) / 8);
-            }
-        }
+        smooth(&mut self.smoothed, &mut self.deviation, sample);
     }
 
     /// On a narrow one a single segment may take long.
