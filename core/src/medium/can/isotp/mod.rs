@@ -198,9 +198,8 @@ impl IsoTp {
 
     /// A frame came from the bus.
     pub fn handle_frame(&mut self, frame: &CanFrame, now: Instant) {
-        let parties = AddressInfo::of(frame.id()).filter(|_| !frame.is_remote());
         // Others are of other things on the bus: no fault at all.
-        let Some(AddressInfo { source, target }) = parties else { return };
+        let Some(AddressInfo { source, target }) = AddressInfo::of(frame.id()) else { return };
         if source == self.own {
             return self.outputs.push_back(IsoTpOutput::AddressTaken);
         }

@@ -7,7 +7,7 @@
 //!   C⏎      close                      z⏎   a short frame is sent (some: Z⏎ a long one)
 //!
 //! frames, both ways, in hexadecimal:
-//!   t iii l dd…⏎        11 bits, l = 0 to 8 bytes          r iii l⏎  a request for them
+//!   t iii l dd…⏎        11 bits, l = 0 to 8 bytes          r iii l⏎  a request, not used here
 //!   T iiiiiiii l dd…⏎   29 bits                            R iiiiiiii l⏎
 //!   d, D                CAN FD, l = 0 to F as on the bus
 //!   b, B                CAN FD with its data at the faster rate
@@ -93,7 +93,8 @@ pub enum AdapterReply {
     Sent,
     /// The last command, or frame, is refused.
     Refused,
-    /// An answer to a question, which this node does not ask: `V1013`, `NA123`, `F00`.
+    /// Nothing for this node: an answer to a question that it does not ask (`V1013`, `NA123`,
+    /// `F00`), or the request for a frame.
     Answer,
 }
 
@@ -146,7 +147,9 @@ impl AdapterReply {
         match line {
             [] => Some(AdapterReply::Done),
             b"z" | b"Z" => Some(AdapterReply::Sent),
-            [b'V' | b'v' | b'N' | b'F', rest @ ..] if rest.iter().all(u8::is_ascii_graphic) => {
+            [b'V' | b'v' | b'N' | b'F' | b'r' | b'R', rest @ ..]
+                if rest.iter().all(u8::is_ascii_graphic) =>
+            {
                 Some(AdapterReply::Answer)
             }
             _ => {
@@ -238,11 +241,10 @@ impl ReplyParser {
 }
 
 fn put_frame(frame: &CanFrame, line: &mut Vec<u8>) {
-    let kind = match (frame.format(), frame.is_remote()) {
-        (Format::Classic, false) => b't',
-        (Format::Classic, true) => b'r',
-        (Format::Fd { fast: false }, _) => b'd',
-        (Format::Fd { fast: true }, _) => b'b',
+    let kind = match frame.format() {
+        Format::Classic => b't',
+        Format::Fd { fast: false } => b'd',
+        Format::Fd { fast: true } => b'b',
     };
     if frame.id().is_extended() {
         line.push(kind.to_ascii_uppercase());
@@ -260,11 +262,10 @@ fn put_frame(frame: &CanFrame, line: &mut Vec<u8>) {
 /// Reads a frame; what follows it is handed back.
 fn read_frame(line: &[u8]) -> Option<(CanFrame, &[u8])> {
     let (&first, rest) = line.split_first()?;
-    let (format, remote) = match first.to_ascii_lowercase() {
-        b't' => (Format::Classic, false),
-        b'r' => (Format::Classic, true),
-        b'd' => (Format::Fd { fast: false }, false),
-        b'b' => (Format::Fd { fast: true }, false),
+    let format = match first.to_ascii_lowercase() {
+        b't' => Format::Classic,
+        b'd' => Format::Fd { fast: false },
+        b'b' => Format::Fd { fast: true },
         _ => return None,
     };
     let extended = first.is_ascii_uppercase();
@@ -277,9 +278,6 @@ fn read_frame(line: &[u8]) -> Option<(CanFrame, &[u8])> {
         None => code,
         Some(at) => *FD_LENGTHS.get(at)?,
     };
-    if remote {
-        return Some((CanFrame::remote(id, length)?, rest));
-    }
     let (digits, rest) = rest.split_at_checked(2 * length)?;
     let mut bytes = [0; FD_MAX];
     for (byte, digits) in bytes.iter_mut().zip(digits.chunks(2)) {
