@@ -15,10 +15,11 @@
 use crate::endpoint::CanNodeConfig;
 use crate::frame_medium::{FrameMedium, MediumEvent, OpenedMedium, QueueLimits, SendResult};
 use blastema_contract::transport::MediumAddress;
-use blastema_core::medium::can::isotp::{EnqueueError, SeparationTime};
+use blastema_core::medium::can::isotp::SeparationTime;
 use blastema_core::medium::can::{
     BusAddress, CanFrame, Format, IsoTp, IsoTpConfig, IsoTpOutput, bits_on_bus,
 };
+use blastema_core::medium::lane::FrameLane;
 use blastema_core::{Instant, Machine};
 use bytes::{BufMut, Bytes, BytesMut};
 use crc::{CRC_32_ISCSI, Crc};
@@ -184,12 +185,13 @@ impl<P: CanPort> CanNode<P> {
         task: &mut Context<'_>,
         to: &MediumAddress,
         frame: &Bytes,
-        take: impl FnOnce(&mut IsoTp, BusAddress, Bytes, Instant) -> Result<(), EnqueueError>,
+        lane: FrameLane,
     ) -> io::Result<SendResult> {
         let (MediumAddress::Can(to), Some(machine)) = (to, &mut self.machine) else {
             return Ok(SendResult::Dropped);
         };
-        if let Err(error) = take(machine, BusAddress(*to), seal(frame), (self.now)()) {
+        let taken = machine.handle_message(BusAddress(*to), seal(frame), lane, (self.now)());
+        if let Err(error) = taken {
             tracing::trace!(%error, "a frame was not taken for CAN");
             return Ok(SendResult::Dropped);
         }
@@ -319,7 +321,7 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
         to: &MediumAddress,
         frame: &Bytes,
     ) -> Poll<io::Result<SendResult>> {
-        Poll::Ready(self.send(task, to, frame, IsoTp::handle_message))
+        Poll::Ready(self.send(task, to, frame, FrameLane::Usual))
     }
 
     fn poll_send_urgent(
@@ -328,7 +330,7 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
         to: &MediumAddress,
         frame: &Bytes,
     ) -> Poll<io::Result<SendResult>> {
-        Poll::Ready(self.send(task, to, frame, IsoTp::handle_urgent))
+        Poll::Ready(self.send(task, to, frame, FrameLane::Urgent))
     }
 
     fn poll_receive(&mut self, task: &mut Context<'_>) -> Poll<io::Result<MediumEvent>> {

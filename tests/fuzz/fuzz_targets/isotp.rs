@@ -4,6 +4,7 @@
 #![no_main]
 
 use blastema_core::medium::can::isotp::SeparationTime;
+use blastema_core::medium::lane::FrameLane;
 use blastema_core::medium::can::{
     AddressInfo, BusAddress, CanFrame, Format, IsoTp, IsoTpConfig, IsoTpOutput,
 };
@@ -45,7 +46,8 @@ fuzz_target!(|script: (u8, u8, bool, Vec<(u8, u16, Vec<u8>)>)| {
         node.handle_timeout(now);
         drain(&mut node, now, own_to_all);
         if who & 0x80 != 0 {
-            let _ = node.handle_message(BusAddress(who & 7), Bytes::from(data), now);
+            let (to, lane) = (BusAddress(who & 7), FrameLane::Usual);
+            let _ = node.handle_message(to, Bytes::from(data), lane, now);
         } else {
             let target = if who & 0x40 != 0 { BusAddress::ALL } else { own };
             let parties = AddressInfo { source: BusAddress(who & 7), target };

@@ -14,6 +14,7 @@ use blastema_core::medium::can::slcan::{
 use blastema_core::medium::can::{
     BusAddress, CanFrame, CanId, Format, IsoTp, IsoTpConfig, IsoTpOutput, slcan,
 };
+use blastema_core::medium::lane::FrameLane;
 use blastema_core::{Instant, Machine};
 use blastema_doubles::{Probe, now};
 use blastema_transports::{
@@ -375,7 +376,9 @@ fn the_kernels_iso_tp_understands_ours_and_ours_the_kernels() {
             let mut receiver = kernel("isotprecv", &format!("{options} {wishes}"));
             wait_for_listener();
             let now = Instant::from_nanos(1);
-            ours.machine.handle_message(BusAddress(2), sent.clone(), now).unwrap();
+            ours.machine
+                .handle_message(BusAddress(2), sent.clone(), FrameLane::Usual, now)
+                .unwrap();
             assert_eq!(ours.run(), IsoTpOutput::Sent { to: BusAddress(2) }, "{format:?} {length}");
             let mut text = String::new();
             receiver.stdout.take().unwrap().read_to_string(&mut text).unwrap();

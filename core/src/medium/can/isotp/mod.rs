@@ -36,6 +36,7 @@ use self::reception::{FrameResult, Reception, ReceptionContext};
 use self::transmission::{TargetType, Transmission};
 use super::address::{AddressInfo, BusAddress};
 use super::frame::{CanFrame, Format};
+use crate::medium::lane::FrameLane;
 use crate::sorted::SortedMap;
 use crate::{Instant, Machine};
 use bytes::Bytes;
@@ -142,7 +143,8 @@ impl IsoTp {
         })
     }
 
-    /// Takes a message to be sent.
+    /// Takes a message to be sent. One that must not wait goes before the others that wait for the
+    /// same target, and has as much room as all of them.
     ///
     /// # Errors
     /// [`EnqueueError`]; the message is dropped.
@@ -150,30 +152,7 @@ impl IsoTp {
         &mut self,
         to: BusAddress,
         message: Bytes,
-        now: Instant,
-    ) -> Result<(), EnqueueError> {
-        self.take(to, message, false, now)
-    }
-
-    /// Takes a message that goes before those that wait for the same target, and for which there is
-    /// as much room as for all others.
-    ///
-    /// # Errors
-    /// [`EnqueueError`]; the message is dropped.
-    pub fn handle_urgent(
-        &mut self,
-        to: BusAddress,
-        message: Bytes,
-        now: Instant,
-    ) -> Result<(), EnqueueError> {
-        self.take(to, message, true, now)
-    }
-
-    fn take(
-        &mut self,
-        to: BusAddress,
-        message: Bytes,
-        urgent: bool,
+        priority: FrameLane,
         now: Instant,
     ) -> Result<(), EnqueueError> {
         if to == self.own {
@@ -188,7 +167,10 @@ impl IsoTp {
             lane.current = Some(Transmission::new(message, target(to), now));
             return Ok(());
         }
-        let queue = if urgent { &mut lane.urgent } else { &mut lane.waiting };
+        let queue = match priority {
+            FrameLane::Usual => &mut lane.waiting,
+            FrameLane::Hello | FrameLane::Urgent => &mut lane.urgent,
+        };
         if queue.len() >= self.config.queue_messages {
             return Err(EnqueueError::Full { to });
         }
