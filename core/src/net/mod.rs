@@ -8,9 +8,10 @@
 //! ═══ transport ═══    (not here: it owns a medium and knows only frames)
 //! ```
 //!
-//! Each layer has one wire format of its own, written by hand, so that no byte depends on a
-//! library's release. A layer never looks into the payload of the one above. Nothing that arrives
-//! can panic: what is not understood is refused as a [`WireError`] and counted in [`Refusals`].
+//! Each layer has one wire format of its own, written by hand; what nodes say to each other about
+//! bindings and subscriptions, the codec of contracts writes. A layer never looks into the payload
+//! of the one above. Nothing that arrives can panic: what is not understood is refused as a
+//! [`WireError`] and counted in [`Refusals`].
 //!
 //! The bytes before a small reliable message, from the first of the frame:
 //!
