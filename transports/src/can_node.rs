@@ -15,10 +15,11 @@
 use crate::endpoint::CanNodeConfig;
 use crate::frame_medium::{FrameMedium, MediumEvent, OpenedMedium, QueueLimits, SendResult};
 use blastema_contract::transport::MediumAddress;
-use blastema_core::medium::can::isotp::{EnqueueError, SeparationTime};
+use blastema_core::medium::can::isotp::SeparationTime;
 use blastema_core::medium::can::{
-    Addressing, BusAddress, CanFrame, Format, IsoTp, IsoTpConfig, IsoTpOutput, bits_on_bus,
+    BusAddress, CanFrame, Format, IsoTp, IsoTpConfig, IsoTpOutput, bits_on_bus,
 };
+use blastema_core::medium::lane::FrameLane;
 use blastema_core::{Instant, Machine};
 use bytes::{BufMut, Bytes, BytesMut};
 use crc::{CRC_32_ISCSI, Crc};
@@ -127,13 +128,8 @@ impl<P: CanPort> CanNode<P> {
         config.queue_messages = queue_frames;
         config.block_size = block_size;
         config.separation = SeparationTime::at_least(separation);
-        let addressing = addressing(&self.config);
-        IsoTp::new(BusAddress(self.config.address), addressing, config).ok_or_else(|| {
-            let last = (0..=u8::MAX).rev().find(|last| addressing.names(BusAddress(*last)));
-            let (address, last) = (self.config.address, last.unwrap_or_default());
-            io::Error::other(format!(
-                "no node can have the address {address}: choose one from 0 to {last}"
-            ))
+        IsoTp::new(BusAddress(self.config.address), config).ok_or_else(|| {
+            io::Error::other("no node can have the address 255: choose one from 0 to 254")
         })
     }
 
@@ -189,12 +185,13 @@ impl<P: CanPort> CanNode<P> {
         task: &mut Context<'_>,
         to: &MediumAddress,
         frame: &Bytes,
-        take: impl FnOnce(&mut IsoTp, BusAddress, Bytes, Instant) -> Result<(), EnqueueError>,
+        lane: FrameLane,
     ) -> io::Result<SendResult> {
         let (MediumAddress::Can(to), Some(machine)) = (to, &mut self.machine) else {
             return Ok(SendResult::Dropped);
         };
-        if let Err(error) = take(machine, BusAddress(*to), seal(frame), (self.now)()) {
+        let taken = machine.handle_message(BusAddress(*to), seal(frame), lane, (self.now)());
+        if let Err(error) = taken {
             tracing::trace!(%error, "a frame was not taken for CAN");
             return Ok(SendResult::Dropped);
         }
@@ -297,7 +294,7 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
         // Of each part of a message all but one byte is the message's. A faster rate for the data
         // of CAN FD is not counted on.
         let part = self.format.capacity();
-        let bits = bits_on_bus(!self.config.short_ids, part);
+        let bits = bits_on_bus(true, part);
         Some((part as u64 - 1) * u64::from(self.port.bitrate()) / bits)
     }
 
@@ -324,7 +321,7 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
         to: &MediumAddress,
         frame: &Bytes,
     ) -> Poll<io::Result<SendResult>> {
-        Poll::Ready(self.send(task, to, frame, IsoTp::handle_message))
+        Poll::Ready(self.send(task, to, frame, FrameLane::Usual))
     }
 
     fn poll_send_urgent(
@@ -333,7 +330,7 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
         to: &MediumAddress,
         frame: &Bytes,
     ) -> Poll<io::Result<SendResult>> {
-        Poll::Ready(self.send(task, to, frame, IsoTp::handle_urgent))
+        Poll::Ready(self.send(task, to, frame, FrameLane::Urgent))
     }
 
     fn poll_receive(&mut self, task: &mut Context<'_>) -> Poll<io::Result<MediumEvent>> {
@@ -357,11 +354,6 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
         self.arrivals.clear();
         self.timer = None;
     }
-}
-
-/// How this node's bus writes addresses into identifiers.
-pub(crate) fn addressing(config: &CanNodeConfig) -> Addressing {
-    if config.short_ids { Addressing::Standard } else { Addressing::default() }
 }
 
 /// A frame with its checksum.

@@ -8,9 +8,10 @@
 //! ═══ transport ═══    (not here: it owns a medium and knows only frames)
 //! ```
 //!
-//! Each layer has one wire format of its own, written by hand, so that no byte depends on a
-//! library's release. A layer never looks into the payload of the one above. Nothing that arrives
-//! can panic: what is not understood is refused as a [`WireError`] and counted in [`Refusals`].
+//! Each layer has one wire format of its own, written by hand; what nodes say to each other about
+//! bindings and subscriptions, the codec of contracts writes. A layer never looks into the payload
+//! of the one above. Nothing that arrives can panic: what is not understood is refused as a
+//! [`WireError`] and counted in [`Refusals`].
 //!
 //! The bytes before a small reliable message, from the first of the frame:
 //!
@@ -87,4 +88,16 @@ const NARROW: usize = 1050;
 /// session ask here, so that they do not wait differently long for what goes the same way.
 pub(crate) fn is_narrow(segment: usize) -> bool {
     segment < NARROW
+}
+
+/// Takes one more round trip into the mean and its deviation: an eighth of the round trip, a quarter
+/// of the deviation (RFC 6298).
+pub(crate) fn smooth(mean: &mut Option<Duration>, deviation: &mut Duration, sample: Duration) {
+    match *mean {
+        None => (*mean, *deviation) = (Some(sample), sample / 2),
+        Some(before) => {
+            *deviation = (*deviation * 3 + before.abs_diff(sample)) / 4;
+            *mean = Some((before * 7 + sample) / 8);
+        }
+    }
 }

@@ -148,7 +148,7 @@ fn genuine() -> Vec<Bytes> {
 
 /// What a peer sends to whom it asks, tells and listens to.
 fn genuine_of_peer() -> Vec<Bytes> {
-    let identity = Bytes::from(ContractIdentity::of::<Note>().full().encode());
+    let identity = ContractIdentity::of::<Note>().full().encode();
     let object = ObjectName::new("arm").unwrap();
     let payload = Bytes::from_static(b"\x05hello");
     let (topic, identities) = ("news".to_owned(), vec![identity.clone()]);

@@ -4,8 +4,9 @@
 #![no_main]
 
 use blastema_core::medium::can::isotp::SeparationTime;
+use blastema_core::medium::lane::FrameLane;
 use blastema_core::medium::can::{
-    AddressInfo, Addressing, BusAddress, CanFrame, Format, IsoTp, IsoTpConfig, IsoTpOutput,
+    AddressInfo, BusAddress, CanFrame, Format, IsoTp, IsoTpConfig, IsoTpOutput,
 };
 use blastema_core::{Instant, Machine};
 use bytes::Bytes;
@@ -22,7 +23,7 @@ fuzz_target!(|script: (u8, u8, bool, Vec<(u8, u16, Vec<u8>)>)| {
     (config.message_max, config.receptions_max) = (LIMIT, 2);
     let own = BusAddress(1);
     let mut now = Instant::from_millis(1);
-    let mut node = IsoTp::new(own, Addressing::default(), config).expect("an address");
+    let mut node = IsoTp::new(own, config).expect("an address");
     // What is said to all under our own address is received: it may be another's claim to it.
     let mut own_to_all = false;
     let drain = |node: &mut IsoTp, now, own_to_all: bool| {
@@ -45,12 +46,13 @@ fuzz_target!(|script: (u8, u8, bool, Vec<(u8, u16, Vec<u8>)>)| {
         node.handle_timeout(now);
         drain(&mut node, now, own_to_all);
         if who & 0x80 != 0 {
-            let _ = node.handle_message(BusAddress(who & 7), Bytes::from(data), now);
+            let (to, lane) = (BusAddress(who & 7), FrameLane::Usual);
+            let _ = node.handle_message(to, Bytes::from(data), lane, now);
         } else {
             let target = if who & 0x40 != 0 { BusAddress::ALL } else { own };
             let parties = AddressInfo { source: BusAddress(who & 7), target };
             own_to_all |= parties.source == own && target == BusAddress::ALL;
-            let id = Addressing::default().id(parties).expect("addresses of this bus");
+            let id = parties.id().expect("addresses of this bus");
             let format = if who & 0x20 != 0 { Format::Fd { fast: false } } else { Format::Classic };
             if let Some(frame) = CanFrame::new(id, format, &data) {
                 node.handle_frame(&frame, now);

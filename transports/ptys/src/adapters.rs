@@ -159,19 +159,19 @@ impl Adapter {
         for byte in &buffer[..read] {
             let Some(LineEnd::Whole(line)) = self.lines.handle_byte(*byte) else { continue };
             match AdapterCommand::decode(&line) {
-                Ok(AdapterCommand::Send(frame)) if self.is_open => {
+                Some(AdapterCommand::Send(frame)) if self.is_open => {
                     frames.push(AdapterReply::Frame(frame));
                     self.answer(&AdapterReply::Sent);
                 }
-                Ok(AdapterCommand::Open) if !self.is_open => {
+                Some(AdapterCommand::Open) if !self.is_open => {
                     self.is_open = true;
                     self.answer(&AdapterReply::Done);
                 }
-                Ok(AdapterCommand::Close) if self.is_open => {
+                Some(AdapterCommand::Close) if self.is_open => {
                     self.is_open = false;
                     self.answer(&AdapterReply::Done);
                 }
-                Ok(AdapterCommand::BitRate(_) | AdapterCommand::DataRate(_)) if !self.is_open => {
+                Some(AdapterCommand::BitRate(_) | AdapterCommand::DataRate(_)) if !self.is_open => {
                     self.answer(&AdapterReply::Done)
                 }
                 _ => self.answer(&AdapterReply::Refused),

@@ -19,7 +19,7 @@ pub(super) const FD: usize = HEADER + FD_MAX;
 
 /// Marks identifiers of 29 bits.
 pub(super) const EXTENDED: u32 = 1 << 31;
-/// Marks remote frames, which ask for data.
+/// Marks remote frames, which ask for data. The filters let none pass.
 pub(super) const REMOTE: u32 = 1 << 30;
 /// Marks what the kernel says of the bus.
 const ERROR: u32 = 1 << 29;
@@ -30,8 +30,7 @@ const FAST: u8 = 1;
 /// Writes a frame; the answer is how many bytes that were.
 pub(super) fn write(frame: &CanFrame, bytes: &mut [u8; FD]) -> usize {
     let extended = if frame.id().is_extended() { EXTENDED } else { 0 };
-    let remote = if frame.is_remote() { REMOTE } else { 0 };
-    let id = frame.id().number() | extended | remote;
+    let id = frame.id().number() | extended;
     let (flags, length) = match frame.format() {
         Format::Classic => (0, CLASSIC),
         Format::Fd { fast } => (if fast { FAST } else { 0 }, FD),
@@ -56,11 +55,8 @@ pub(super) fn read(bytes: &[u8]) -> Option<CanFrame> {
     let is_extended = id & EXTENDED != 0;
     let named = if is_extended { CanId::extended(number) } else { CanId::standard(number) }?;
     let length = usize::from(rest[0]);
-    if id & ERROR != 0 {
+    if id & (ERROR | REMOTE) != 0 {
         return None;
-    }
-    if id & REMOTE != 0 {
-        return CanFrame::remote(named, length);
     }
     CanFrame::new(named, format, bytes.get(HEADER..HEADER + length)?)
 }
@@ -85,7 +81,6 @@ mod tests {
             CanFrame::new(long, Format::Classic, b"12345678").unwrap(),
             CanFrame::new(long, fast, &[7; 64]).unwrap(),
             CanFrame::new(short, slow, b"123").unwrap(),
-            CanFrame::remote(long, 3).unwrap(),
         ] {
             let mut bytes = [0xff; FD];
             let length = write(&frame, &mut bytes);
@@ -111,6 +106,7 @@ mod tests {
         check(1, 255);
         check(0x800, 0);
         check(ERROR | 4, 8);
+        check(REMOTE | 4, 0);
     }
 
     #[test]

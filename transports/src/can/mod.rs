@@ -10,10 +10,10 @@
 
 mod layout;
 
-use crate::can_node::{CanNode, CanPort, addressing};
+use crate::can_node::{CanNode, CanPort};
 use crate::endpoint::CanConfig;
 use blastema_core::Instant;
-use blastema_core::medium::can::{Addressing, CanFrame, Format};
+use blastema_core::medium::can::{CanFrame, Format};
 use layout::{BUS_OFF, EXTENDED, REMOTE};
 use socket2::SockRef;
 use socketcan::{CanFdSocket, CanFilter, Socket, SocketOptions};
@@ -81,7 +81,7 @@ impl CanSocket {
         let CanConfig { interface, fd, node, .. } = &self.config;
         let socket = CanFdSocket::open(interface)?;
         socket.set_nonblocking(true)?;
-        socket.set_filters(&filters(addressing(node), node.address))?;
+        socket.set_filters(&filters(node.address))?;
         socket.set_error_filter(BUS_OFF)?;
         let options = SockRef::from(socket.as_raw_socket());
         options.set_send_buffer_size(SEND_BUFFER)?;
@@ -229,18 +229,13 @@ fn is_full(error: &io::Error) -> bool {
 }
 
 /// Frames for this node, frames for all, and frames that another node sends under this address.
-fn filters(addressing: Addressing, own: u8) -> Vec<CanFilter> {
+fn filters(own: u8) -> [CanFilter; 3] {
     let own = u32::from(own);
-    let filter = |id, mask| CanFilter::new(id, mask | EXTENDED | REMOTE);
-    match addressing {
-        Addressing::Standard => {
-            vec![filter(0x400 | own << 5, 0x7e0), filter(0x7e0, 0x7e0), filter(0x400 | own, 0x41f)]
-        }
-        // The priority, the uppermost three bits, is the speaker's business.
-        _ => vec![
-            filter(EXTENDED | DATA | own << 8, 0x03ff_ff00),
-            filter(EXTENDED | ALL, 0x03ff_ff00),
-            filter(EXTENDED | DATA | own, 0x03ff_00ff),
-        ],
-    }
+    // The priority, the uppermost three bits, is the speaker's business.
+    let filter = |id, mask| CanFilter::new(EXTENDED | id, mask | EXTENDED | REMOTE);
+    [
+        filter(DATA | own << 8, 0x03ff_ff00),
+        filter(ALL, 0x03ff_ff00),
+        filter(DATA | own, 0x03ff_00ff),
+    ]
 }

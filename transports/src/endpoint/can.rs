@@ -11,9 +11,6 @@ pub struct CanNodeConfig {
     /// Our number on the bus, 0 to 254. No two nodes may have the same; peers are given by theirs.
     /// What is sent to 255 goes to all.
     pub address: u8,
-    /// Identifiers of 11 bits, for buses and adapters that know no others: addresses 0 to 30 then.
-    /// All nodes of the bus must do alike.
-    pub short_ids: bool,
     /// The largest frame, in bytes. A larger one keeps others waiting longer.
     pub mtu: usize,
     /// How many frames wait for the bus; beyond, they are dropped.
@@ -29,7 +26,6 @@ impl Default for CanNodeConfig {
     fn default() -> Self {
         CanNodeConfig {
             address: 0,
-            short_ids: false,
             // 148 classic frames: 40 ms of a bus of 500 kbit/s, less than between two hellos.
             mtu: 1_024,
             queue_frames: 64,

@@ -63,8 +63,8 @@ const TIMEOUT: RangeInclusive<Duration> = Duration::from_millis(1)..=Duration::f
 /// | `tcp://10.0.0.1:7400` | TCP | `interface`, `mtu`, `peers`, `strangers`, `queue_bytes`, `connect_timeout`, `hello_timeout`, `user_timeout` |
 /// | `unix:///run/x.sock` | a Unix-domain socket | `mode` (octal), `mtu`, `peers`, `strangers`, `queue_bytes`, `connect_timeout`, `hello_timeout`, `users` |
 /// | `serial:///dev/ttyUSB0` | a serial line | `baud`, `parity`, `stop_bits`, `flow`, `rs485`, `rts`, `rts_before`, `rts_after`, `mtu`, `queue_time` |
-/// | `can://can0` | a CAN interface | `fd`, `bit_rate_switch`, `bitrate`, `address`, `short_ids`, `mtu`, `queue_frames`, `block_size`, `separation` |
-/// | `slcan:///dev/ttyACM0` | a CAN adapter on a serial port | `bitrate`, `fd`, `bit_rate_switch`, `data_bitrate`, `baud`, `address`, `short_ids`, `mtu`, `queue_frames`, `block_size`, `separation` |
+/// | `can://can0` | a CAN interface | `fd`, `bit_rate_switch`, `bitrate`, `address`, `mtu`, `queue_frames`, `block_size`, `separation` |
+/// | `slcan:///dev/ttyACM0` | a CAN adapter on a serial port | `bitrate`, `fd`, `bit_rate_switch`, `data_bitrate`, `baud`, `address`, `mtu`, `queue_frames`, `block_size`, `separation` |
 /// | `memory://name` | between nodes of one process | |
 ///
 /// Each takes `insecure` too, with or without `=true`: see [`Endpoint::parse`].
@@ -222,13 +222,7 @@ impl Endpoint {
             }
             (Endpoint::Can(CanConfig { node, .. }), MediumAddress::Can(peer))
             | (Endpoint::Slcan(SlcanConfig { node, .. }), MediumAddress::Can(peer)) => {
-                if *peer == node.address {
-                    Some("it is our own number: write the neighbour's")
-                } else if node.short_ids && (SHORT_MOST + 1..255).contains(peer) {
-                    Some("with short_ids=true, numbers are 0 to 30")
-                } else {
-                    None
-                }
+                (*peer == node.address).then_some("it is our own number: write the neighbour's")
             }
             (Endpoint::Memory(_), MediumAddress::Memory(peer)) if peer.is_empty() => {
                 Some("write the name of its end")
@@ -260,9 +254,6 @@ pub fn check_socket_path(length: usize) -> Result<(), String> {
         )),
     }
 }
-
-/// The largest number on a bus with identifiers of 11 bits.
-const SHORT_MOST: u8 = 30;
 
 /// An endpoint string behind its medium.
 struct Parts<'a> {
@@ -550,11 +541,6 @@ fn slcan(parts: &Parts<'_>, settings: &mut Settings<'_>) -> Result<Endpoint, End
 
 fn can_node(settings: &mut Settings<'_>, node: &mut CanNodeConfig) -> Result<(), EndpointError> {
     settings.number("address", 0..=254, &mut node.address)?;
-    settings.switch("short_ids", &mut node.short_ids)?;
-    if node.short_ids && node.address > SHORT_MOST {
-        let why = "with short_ids=true, addresses are 0 to 30";
-        return Err(settings.contradiction("address", why));
-    }
     settings.number("mtu", LEAST_BYTES..=MOST_BYTES, &mut node.mtu)?;
     settings.number("queue_frames", 1..=65_536, &mut node.queue_frames)?;
     settings.number("block_size", 0..=255, &mut node.block_size)?;

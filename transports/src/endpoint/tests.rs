@@ -123,14 +123,12 @@ fn can_is_read_with_all_its_settings() {
 
     let Endpoint::Can(config) = good(
         "can://vcan1?fd=true&bit_rate_switch=true&address=7&mtu=800&queue_frames=8&block_size=4\
-         &separation=200us&short_ids=true",
+         &separation=200us",
     ) else {
         panic!()
     };
     assert!(config.bit_rate_switch);
-    let CanNodeConfig { address, short_ids, mtu, queue_frames, block_size, separation, .. } =
-        config.node;
-    assert!(short_ids);
+    let CanNodeConfig { address, mtu, queue_frames, block_size, separation, .. } = config.node;
     assert_eq!((address, mtu, queue_frames, block_size), (7, 800, 8, 4));
     assert_eq!(separation, Duration::from_micros(200));
 }
@@ -290,9 +288,6 @@ fn a_wrong_value_is_pointed_at_with_what_it_may_be() {
 #[test]
 fn settings_that_exclude_each_other_are_pointed_at() {
     bad("can://can0?bit_rate_switch=true", "bit_rate_switch=true", 11, "add fd=true");
-    let why = "with short_ids=true, addresses are 0 to 30";
-    bad("can://can0?address=31&short_ids=true", "address=31", 11, why);
-    good("can://can0?address=30&short_ids=true");
     bad("can://can0?separation=150us", "separation=150us", 11, "in steps of 100");
     bad("can://can0?separation=1500us", "separation=1500us", 11, "1ms to 127ms");
 }
@@ -347,8 +342,7 @@ fn an_address_that_no_neighbour_can_have_is_refused() {
     check("unix:///run/a.sock", "/run/a.sock", "our own address");
     check("unix:///run/a.sock", &format!("/{}", "x".repeat(107)), "at most 107");
     check("can://can0?address=7", "7", "our own number");
-    check("can://can0?address=7&short_ids=true", "31", "0 to 30");
-    assert!(good("can://can0?address=7&short_ids=true").peer("255").is_ok(), "to all");
+    assert!(good("can://can0?address=7").peer("255").is_ok(), "to all");
     check("memory://a", "a", "our own address");
     check("udp://239.255.0.1:7400", "239.255.0.2:7400", "a group's address");
     assert!(good("udp://239.255.0.1:7400").peer("239.255.0.1:7400").is_ok(), "the group itself");

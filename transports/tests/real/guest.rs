@@ -12,8 +12,9 @@ use blastema_core::medium::can::slcan::{
     AdapterCommand as Line, AdapterReply, BitRate, LineSplitter,
 };
 use blastema_core::medium::can::{
-    Addressing, BusAddress, CanFrame, CanId, Format, IsoTp, IsoTpConfig, IsoTpOutput, slcan,
+    BusAddress, CanFrame, CanId, Format, IsoTp, IsoTpConfig, IsoTpOutput, slcan,
 };
+use blastema_core::medium::lane::FrameLane;
 use blastema_core::{Instant, Machine};
 use blastema_doubles::{Probe, now};
 use blastema_transports::{
@@ -284,7 +285,7 @@ impl Ours {
         let mut config = IsoTpConfig::default();
         (config.format, config.block_size, config.message_max) = (format, block_size, 10_000);
         config.separation = SeparationTime::at_least(Duration::from_millis(separation_ms));
-        let machine = IsoTp::new(BusAddress(1), Addressing::default(), config).unwrap();
+        let machine = IsoTp::new(BusAddress(1), config).unwrap();
         let socket = CanFdSocket::open("vcan0").unwrap();
         socket.set_read_timeout(Duration::from_millis(1)).unwrap();
         Ours { machine, socket }
@@ -375,7 +376,9 @@ fn the_kernels_iso_tp_understands_ours_and_ours_the_kernels() {
             let mut receiver = kernel("isotprecv", &format!("{options} {wishes}"));
             wait_for_listener();
             let now = Instant::from_nanos(1);
-            ours.machine.handle_message(BusAddress(2), sent.clone(), now).unwrap();
+            ours.machine
+                .handle_message(BusAddress(2), sent.clone(), FrameLane::Usual, now)
+                .unwrap();
             assert_eq!(ours.run(), IsoTpOutput::Sent { to: BusAddress(2) }, "{format:?} {length}");
             let mut text = String::new();
             receiver.stdout.take().unwrap().read_to_string(&mut text).unwrap();
@@ -429,16 +432,16 @@ async fn serve(mut port: tokio_serial::SerialStream, said: actix::Recipient<Said
                 continue;
             };
             match Line::decode(&line) {
-                Ok(Line::Send(frame)) => {
+                Some(Line::Send(frame)) => {
                     let id = ExtendedId::new(frame.id().number()).unwrap();
                     bus.write_frame(&CanDataFrame::new(id, frame.data()).unwrap()).unwrap();
                     AdapterReply::Sent.encode(&mut answers);
                 }
-                Ok(command) => {
+                Some(command) => {
                     said.do_send(Said(command));
                     AdapterReply::Done.encode(&mut answers);
                 }
-                Err(_) => AdapterReply::Refused.encode(&mut answers),
+                None => AdapterReply::Refused.encode(&mut answers),
             }
         }
         AsyncWriteExt::write_all(&mut port, &answers).await.unwrap();

@@ -109,11 +109,6 @@ fn what_nobody_can_do_is_refused_with_what_helps() {
         };
         check(|config| config.bitrate = 300_000, "choose 10, 20, 50").await;
         check(|config| config.node.address = 255, "choose one from 0 to 254").await;
-        check(
-            |config| (config.node.short_ids, config.node.address) = (true, 31),
-            "choose one from 0 to 30",
-        )
-        .await;
         check(|config| config.path = "/dev/does-not-exist".into(), "plug the device in").await;
     });
 }
@@ -130,19 +125,6 @@ fn who_speaks_under_our_address_is_refused_and_the_others_are_heard() {
 
         a.expect(Can(2), "hello").await;
         assert_eq!(a.counters().await.refused, 1);
-    });
-}
-
-#[test]
-fn nodes_with_short_identifiers_understand_each_other() {
-    let _turn = blastema_doubles::turn();
-    in_real_time(async {
-        let (_bus, a, b) = two([3, 30], |config| config.node.short_ids = true).await;
-
-        a.send(Can(30), "eleven bits are enough for thirty nodes");
-        b.expect(Can(3), "eleven bits are enough for thirty nodes").await;
-        b.send(Can(255), "all");
-        a.expect(Can(30), "all").await;
     });
 }
 

@@ -6,12 +6,6 @@
 //! ┌─────────┬────────┬────────────┬──────────┬──────────┐
 //! │priority │   0    │ DA: to one │  target  │  source  │   DB: to all
 //! └─────────┴────────┴────────────┴──────────┴──────────┘
-//!
-//! 11 bits, for buses and adapters that know no others; 31 is "all":
-//!   10  9        5 4        0
-//! ┌───┬──────────┬──────────┐
-//! │ 1 │  target  │  source  │
-//! └───┴──────────┴──────────┘
 //! ```
 
 use super::frame::CanId;
@@ -19,9 +13,9 @@ use std::fmt;
 
 const TO_ONE: u32 = 0xda;
 const TO_ALL: u32 = 0xdb;
-/// All nodes, where five bits name one.
-const ALL_OF_FIVE_BITS: u32 = 0x1f;
-const SHORT: u32 = 0x400;
+/// As ISO 15765-2 recommends, so that what controls a machine goes before what is longer than a
+/// frame.
+const PRIORITY: u32 = 6;
 
 /// A node's number on its bus. Two nodes on one bus must not share one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -41,26 +35,6 @@ impl fmt::Display for BusAddress {
     }
 }
 
-/// How addresses are written into identifiers. All nodes of a bus do it alike.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum Addressing {
-    /// 29 bits: addresses 0 to 254.
-    Extended {
-        /// 0 to 7; the lowest goes first where several speak at once. ISO 15765-2 recommends 6, so
-        /// that what controls a machine goes before what is longer than a frame.
-        priority: u8,
-    },
-    /// 11 bits, the upper half of the identifiers: addresses 0 to 30.
-    Standard,
-}
-
-impl Default for Addressing {
-    fn default() -> Self {
-        Addressing::Extended { priority: 6 }
-    }
-}
-
 /// What an identifier says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AddressInfo {
@@ -70,60 +44,29 @@ pub struct AddressInfo {
     pub target: BusAddress,
 }
 
-impl Addressing {
-    /// Whether a node can have this address.
-    pub fn names(self, address: BusAddress) -> bool {
-        match self {
-            Addressing::Extended { .. } => address != BusAddress::ALL,
-            Addressing::Standard => u32::from(address.0) < ALL_OF_FIVE_BITS,
-        }
-    }
-
-    /// The identifier; `None` for an address that no node can have here.
-    pub fn id(self, parties: AddressInfo) -> Option<CanId> {
-        let AddressInfo { source, target } = parties;
-        let to_all = target == BusAddress::ALL;
-        if !self.names(source) || !to_all && !self.names(target) {
-            return None;
-        }
+impl AddressInfo {
+    /// The identifier; `None` where no node can have the sender's address.
+    pub fn id(self) -> Option<CanId> {
+        let AddressInfo { source, target } = self;
+        let kind = if target == BusAddress::ALL { TO_ALL } else { TO_ONE };
         let (from, to) = (u32::from(source.0), u32::from(target.0));
-        match self {
-            Addressing::Extended { priority } => {
-                let kind = if to_all { TO_ALL } else { TO_ONE };
-                CanId::extended(u32::from(priority & 7) << 26 | kind << 16 | to << 8 | from)
-            }
-            Addressing::Standard => {
-                let to = if to_all { ALL_OF_FIVE_BITS } else { to };
-                CanId::standard(SHORT | to << 5 | from)
-            }
-        }
+        let id = CanId::extended(PRIORITY << 26 | kind << 16 | to << 8 | from);
+        id.filter(|_| source != BusAddress::ALL)
     }
 
     /// Who speaks to whom; `None` for an identifier that other things on the bus use. The priority
     /// is the speaker's business.
-    pub fn parties(self, id: CanId) -> Option<AddressInfo> {
+    pub fn of(id: CanId) -> Option<AddressInfo> {
         let number = id.number();
-        let (to_all, target, source) = match (self, id) {
-            (Addressing::Extended { .. }, CanId::Extended(_)) => {
-                let kind = number >> 16 & 0x3ff;
-                let target = number >> 8 & 0xff;
-                // "To one" with an address that no node has, or "to all" of some group: not ours.
-                let to_all = match kind {
-                    TO_ONE if target != 0xff => false,
-                    TO_ALL if target == 0xff => true,
-                    _ => return None,
-                };
-                (to_all, target, number & 0xff)
-            }
-            (Addressing::Standard, CanId::Standard(_)) if number & SHORT != 0 => {
-                let target = number >> 5 & 0x1f;
-                (target == ALL_OF_FIVE_BITS, target, number & 0x1f)
-            }
-            _ => return None,
+        let [_, _, target, source] = number.to_be_bytes().map(BusAddress);
+        // "To one" with an address that no node has, or "to all" of some group: not ours.
+        let is_ours = match number >> 16 & 0x3ff {
+            TO_ONE => target != BusAddress::ALL,
+            TO_ALL => target == BusAddress::ALL,
+            _ => false,
         };
-        let source = BusAddress(source as u8);
-        let target = if to_all { BusAddress::ALL } else { BusAddress(target as u8) };
-        self.names(source).then_some(AddressInfo { source, target })
+        let is_node = source != BusAddress::ALL;
+        (id.is_extended() && is_ours && is_node).then_some(AddressInfo { source, target })
     }
 }
 
@@ -137,53 +80,37 @@ mod tests {
 
     #[test]
     fn the_identifiers_are_these_for_ever_and_are_read_back() {
-        let check = |addressing: Addressing, who: AddressInfo, expected: u32| {
-            let id = addressing.id(who).unwrap();
+        let check = |who: AddressInfo, expected: u32| {
+            let id = who.id().unwrap();
             assert_eq!(id.number(), expected, "{who:?}");
-            assert_eq!(addressing.parties(id), Some(who));
+            assert_eq!(AddressInfo::of(id), Some(who));
         };
-        let extended = Addressing::default();
-        check(extended, parties(0xf1, 0x10), 0x18da_10f1);
-        check(extended, parties(3, 0xff), 0x18db_ff03);
-        check(Addressing::Extended { priority: 0 }, parties(1, 2), 0x00da_0201);
-        check(Addressing::Standard, parties(1, 2), 0x441);
-        check(Addressing::Standard, parties(30, 0xff), 0x7fe);
+        check(parties(0xf1, 0x10), 0x18da_10f1);
+        check(parties(3, 0xff), 0x18db_ff03);
     }
 
     #[test]
     fn a_priority_other_than_ours_is_understood() {
-        let id = Addressing::Extended { priority: 3 }.id(parties(1, 2)).unwrap();
+        let id = CanId::extended(0x0cda_0201).unwrap();
 
-        assert_eq!(Addressing::default().parties(id), Some(parties(1, 2)));
+        assert_eq!(AddressInfo::of(id), Some(parties(1, 2)));
     }
 
     #[test]
-    fn every_identifier_is_of_one_pair_or_of_nobody() {
-        let mut ours = 0;
+    fn every_identifier_is_of_one_pair_or_of_other_things() {
         for number in 0..0x800 {
-            let id = CanId::standard(number).unwrap();
-            assert_eq!(Addressing::default().parties(id), None);
-            if let Some(who) = Addressing::Standard.parties(id) {
-                assert_eq!(Addressing::Standard.id(who), Some(id));
-                ours += 1;
-            }
+            assert_eq!(AddressInfo::of(CanId::standard(number).unwrap()), None);
         }
-        assert_eq!(ours, 31 * 32);
         for number in (0..0x2000_0000).step_by(97) {
-            let id = CanId::extended(number).unwrap();
-            assert_eq!(Addressing::Standard.parties(id), None);
-            if let Some(who) = Addressing::default().parties(id) {
-                let priority = (number >> 26) as u8;
-                assert_eq!(Addressing::Extended { priority }.id(who), Some(id));
+            if let Some(who) = AddressInfo::of(CanId::extended(number).unwrap()) {
+                let without_priority = |id: CanId| id.number() & 0x03ff_ffff;
+                assert_eq!(who.id().map(without_priority), Some(number & 0x03ff_ffff));
             }
         }
     }
 
     #[test]
-    fn an_address_that_nobody_can_have_has_no_identifier() {
-        assert_eq!(Addressing::default().id(parties(0xff, 1)), None);
-        assert_eq!(Addressing::Standard.id(parties(31, 1)), None);
-        assert_eq!(Addressing::Standard.id(parties(1, 31)), None);
-        assert!(Addressing::Standard.names(BusAddress(30)));
+    fn an_address_that_no_node_can_have_has_no_identifier() {
+        assert_eq!(parties(0xff, 1).id(), None);
     }
 }

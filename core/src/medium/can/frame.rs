@@ -12,62 +12,41 @@ pub(crate) const FD_LENGTHS: [usize; 7] = [12, 16, 20, 24, 32, 48, 64];
 const STANDARD_MAX: u32 = 0x7ff;
 const EXTENDED_MAX: u32 = 0x1fff_ffff;
 
-/// What a frame is about. On the bus, of two that begin at the same time the lower number goes
-/// first.
+/// What a frame is about: a number of 11 bits, or one of 29. On the bus, of two that begin at the
+/// same time the lower number goes first.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum CanId {
-    /// An identifier of 11 bits.
-    Standard(StandardId),
-    /// An identifier of 29 bits.
-    Extended(ExtendedId),
+pub struct CanId {
+    is_extended: bool,
+    number: u32,
 }
-
-/// A number of 11 bits.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct StandardId(u16);
-
-/// A number of 29 bits.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct ExtendedId(u32);
 
 impl CanId {
     /// An identifier of 11 bits; `None` where the number has more.
     pub const fn standard(number: u32) -> Option<Self> {
-        match number {
-            0..=STANDARD_MAX => Some(CanId::Standard(StandardId(number as u16))),
-            _ => None,
-        }
+        if number > STANDARD_MAX { None } else { Some(CanId { is_extended: false, number }) }
     }
 
     /// An identifier of 29 bits; `None` where the number has more.
     pub const fn extended(number: u32) -> Option<Self> {
-        match number {
-            0..=EXTENDED_MAX => Some(CanId::Extended(ExtendedId(number))),
-            _ => None,
-        }
+        if number > EXTENDED_MAX { None } else { Some(CanId { is_extended: true, number }) }
     }
 
     /// Its number, whatever its kind.
     pub const fn number(self) -> u32 {
-        match self {
-            CanId::Standard(StandardId(number)) => number as u32,
-            CanId::Extended(ExtendedId(number)) => number,
-        }
+        self.number
     }
 
     /// Whether it has 29 bits.
     pub const fn is_extended(self) -> bool {
-        matches!(self, CanId::Extended(_))
+        self.is_extended
     }
 }
 
 /// As `candump` writes it: three digits for 11 bits, eight for 29.
 impl fmt::Display for CanId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            CanId::Standard(id) => write!(f, "{:03X}", id.0),
-            CanId::Extended(id) => write!(f, "{:08X}", id.0),
-        }
+        let width = if self.is_extended { 8 } else { 3 };
+        write!(f, "{:0width$X}", self.number)
     }
 }
 
@@ -109,12 +88,12 @@ impl Format {
     }
 }
 
-/// One frame: an identifier, and up to 8 or 64 bytes, or the request for them.
+/// One frame: an identifier, and up to 8 or 64 bytes. Requests for a frame are of other things on
+/// the bus.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct CanFrame {
     id: CanId,
     format: Format,
-    remote: bool,
     length: u8,
     bytes: [u8; FD_MAX],
 }
@@ -135,14 +114,7 @@ impl CanFrame {
         }
         let mut bytes = [0; FD_MAX];
         bytes[..data.len()].copy_from_slice(data);
-        Some(CanFrame { id, format, remote: false, length: data.len() as u8, bytes })
-    }
-
-    /// The request for a frame of this length; only classic buses have it, and up to 8 bytes.
-    pub fn remote(id: CanId, length: usize) -> Option<Self> {
-        let length =
-            u8::try_from(length).ok().filter(|length| usize::from(*length) <= CLASSIC_MAX)?;
-        Some(CanFrame { id, format: Format::Classic, remote: true, length, bytes: [0; FD_MAX] })
+        Some(CanFrame { id, format, length: data.len() as u8, bytes })
     }
 
     /// What it is about.
@@ -155,19 +127,14 @@ impl CanFrame {
         self.format
     }
 
-    /// Whether it asks for data instead of carrying any.
-    pub fn is_remote(&self) -> bool {
-        self.remote
-    }
-
-    /// Its length, or the one that it asks for.
+    /// How many bytes it carries.
     pub fn length(&self) -> usize {
         self.length.into()
     }
 
-    /// What it carries: nothing where it asks.
+    /// What it carries.
     pub fn data(&self) -> &[u8] {
-        if self.remote { &[] } else { &self.bytes[..self.length()] }
+        &self.bytes[..self.length()]
     }
 }
 
@@ -187,11 +154,10 @@ pub fn bits_on_bus(extended: bool, bytes: usize) -> u64 {
 
 impl fmt::Debug for CanFrame {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mark = match (self.format, self.remote) {
-            (Format::Classic, false) => "",
-            (Format::Classic, true) => "R",
-            (Format::Fd { fast: false }, _) => "#0",
-            (Format::Fd { fast: true }, _) => "#1",
+        let mark = match self.format {
+            Format::Classic => "",
+            Format::Fd { fast: false } => "#0",
+            Format::Fd { fast: true } => "#1",
         };
         write!(f, "{}#{mark}", self.id)?;
         self.data().iter().try_for_each(|byte| write!(f, "{byte:02X}"))
@@ -224,13 +190,5 @@ mod tests {
         assert_eq!(lengths(Format::Fd { fast: false }), fd);
         assert_eq!(Format::Fd { fast: true }.length_for(33), Some(48));
         assert_eq!(Format::Fd { fast: true }.length_for(65), None);
-        assert!(CanFrame::remote(id, 8).is_some() && CanFrame::remote(id, 9).is_none());
-    }
-
-    #[test]
-    fn a_request_carries_nothing_and_says_how_much_it_asks_for() {
-        let frame = CanFrame::remote(CanId::standard(1).unwrap(), 5).unwrap();
-
-        assert_eq!((frame.data(), frame.length(), frame.is_remote()), (&[][..], 5, true));
     }
 }

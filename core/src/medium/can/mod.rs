@@ -14,6 +14,6 @@ pub mod frame;
 pub mod isotp;
 pub mod slcan;
 
-pub use address::{AddressInfo, Addressing, BusAddress};
+pub use address::{AddressInfo, BusAddress};
 pub use frame::{CLASSIC_MAX, CanFrame, CanId, FD_MAX, Format, bits_on_bus};
 pub use isotp::{IsoTp, IsoTpConfig, IsoTpOutput};

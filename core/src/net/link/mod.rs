@@ -45,7 +45,6 @@ use self::flap_damping::FlapDamping;
 use self::hello_schedule::HelloSchedule;
 use self::neighbour_record::NeighbourRecord;
 use self::path_mtu::{FrameSize, PathMtu};
-use self::quality::QualityLimits;
 use self::reassembly::RoutingReassembly;
 
 use super::wire::frame::{Echo, Frame, Hello, NameHolder};
@@ -65,8 +64,6 @@ pub struct Link {
     neighbour: Option<NeighbourRecord>,
     acquaintance: Acquaintance,
     hellos: HelloSchedule,
-    /// How late this node was run when a timer fired last.
-    late: Duration,
     /// By when a neighbour should have proved to be there; `None` once its absence was reported.
     expected_by: Option<Instant>,
     damping: FlapDamping,
@@ -80,6 +77,13 @@ pub struct Link {
 impl Link {
     /// What a medium adds to a frame: a UDP header, or a serial line's framing.
     const FRAMING: u64 = 8;
+    /// So many percent of an interval after its time, a missing hello makes the link suspect, and
+    /// takes it down: expected at 1, suspect at 2, down at 3.5 intervals after the last hello. Two
+    /// lost in a row divert traffic, three take the link down (ITU-T G.8013: 3.5 intervals). On a
+    /// link that loses hellos anyway, more must be missing, so that loss alone takes it down once
+    /// in some 100,000 hellos.
+    const SUSPECT_AFTER_PERCENT: u32 = 100;
+    const DOWN_AFTER_PERCENT: u32 = 250;
     /// A timer that is so late means that received frames may be unread. Timers alone are up to 1
     /// ms late.
     const LATE: Duration = Duration::from_millis(2);
@@ -92,7 +96,6 @@ impl Link {
             neighbour: None,
             acquaintance: Acquaintance::default(),
             hellos: HelloSchedule::new(config.hello_interval, now),
-            late: Duration::ZERO,
             expected_by: Some(now + config.peer_timeout),
             damping: FlapDamping::default(),
             frame_size: FrameSize::default(),
@@ -360,7 +363,7 @@ impl Link {
                 record.answered = sent;
                 let held = Duration::from_micros(echo.held_us.into());
                 // The echo has waited here for as long as this node was not run.
-                let waited = held + self.late;
+                let waited = held + self.hellos.late;
                 record.quality.handle_round_trip((now - sent).saturating_sub(waited));
             }
         }
@@ -374,12 +377,7 @@ impl Link {
     fn judge_quality(&mut self, now: Instant) {
         let Some(record) = &mut self.neighbour else { return };
         let Some(loss) = record.arrivals.loss_permille() else { return };
-        let limits = QualityLimits {
-            loss_permille: self.config.degraded_loss_permille,
-            // On a slow medium a round trip takes two frames and two hellos, when it is full.
-            round_trip: self.config.degraded_round_trip.max(self.hellos.interval),
-        };
-        if record.quality.judge(loss.max(record.loss_there), limits, now) {
+        if record.quality.judge(loss.max(record.loss_there), self.hellos.interval, now) {
             self.outputs.push_back(LinkOutput::Quality(record.quality.quality()));
         }
     }
@@ -391,7 +389,7 @@ impl Link {
     }
 
     fn down_after_percent(&self) -> u32 {
-        self.config.down_after_percent + 100 * hellos_beyond_three(self.quality().loss_permille)
+        Self::DOWN_AFTER_PERCENT + 100 * hellos_beyond_three(self.quality().loss_permille)
     }
 
     fn go_down(&mut self, reason: &'static str, now: Instant) {
@@ -468,7 +466,7 @@ impl Link {
         match self.state {
             LinkState::Up => {}
             LinkState::Suspect => {
-                let late = self.silent_at(self.config.suspect_after_percent);
+                let late = self.silent_at(Self::SUSPECT_AFTER_PERCENT);
                 if late.is_some_and(|due| due <= now) {
                     return;
                 }
@@ -525,7 +523,7 @@ impl Machine for Link {
         // A timer that fires so late means that this node was not run; the neighbour's hellos are
         // still unread. After a long stall every silence up to now is void.
         let late = now - due;
-        self.late = late;
+        self.hellos.late = late;
         let down_after = self.down_after_percent();
         if let Some(record) = &mut self.neighbour {
             if late > self.hellos.interval {

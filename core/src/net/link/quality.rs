@@ -1,6 +1,7 @@
 //! How good a link is, and what that makes it cost.
 
 use crate::Instant;
+use crate::net::smooth;
 use std::time::Duration;
 
 /// How good a link is, as measured.
@@ -27,13 +28,6 @@ pub(super) struct QualityEstimator {
     settled: Option<Instant>,
 }
 
-/// From which quality on a link is degraded.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct QualityLimits {
-    pub(super) loss_permille: u16,
-    pub(super) round_trip: Duration,
-}
-
 impl Default for Quality {
     fn default() -> Self {
         Quality {
@@ -46,6 +40,10 @@ impl Default for Quality {
     }
 }
 
+/// A link that loses more than this of a thousand hellos is degraded.
+const LOSS_LIMIT_PERMILLE: u16 = 100;
+/// A link whose round trip takes longer than this, and than a hello interval, is degraded.
+const ROUND_TRIP_LIMIT: Duration = Duration::from_millis(250);
 /// A degraded link costs this many times as much: any other way is taken first.
 const DEGRADED: u32 = 8;
 /// A link becomes dearer at once, and cheaper only when it has been dear for so long: traffic that
@@ -57,38 +55,28 @@ impl QualityEstimator {
         self.quality
     }
 
-    /// A round trip was measured. RFC 6298's smoothing: an eighth of each new round trip, a quarter
-    /// of each deviation.
+    /// A round trip was measured.
     pub(super) fn handle_round_trip(&mut self, sample: Duration) {
-        let quality = &mut self.quality;
-        match quality.round_trip {
-            None => {
-                quality.round_trip = Some(sample);
-                quality.jitter = sample / 2;
-            }
-            Some(smoothed) => {
-                let deviation = smoothed.abs_diff(sample);
-                quality.jitter = (quality.jitter * 3 + deviation) / 4;
-                quality.round_trip = Some((smoothed * 7 + sample) / 8);
-            }
-        }
+        smooth(&mut self.quality.round_trip, &mut self.quality.jitter, sample);
     }
 
-    /// Judges again; returns whether that must be reported.
+    /// Judges again; returns whether that must be reported. On a slow medium a round trip takes two
+    /// frames and two hellos, when it is full.
     pub(super) fn judge(
         &mut self,
         loss_permille: u16,
-        limits: QualityLimits,
+        hello_interval: Duration,
         now: Instant,
     ) -> bool {
         let quality = &mut self.quality;
         quality.loss_permille = loss_permille.min(1000);
         let (loss, round_trip) = (quality.loss_permille, quality.round_trip.unwrap_or_default());
+        let round_trip_limit = ROUND_TRIP_LIMIT.max(hello_interval);
         // Half the limit clears it, so that a link at its limit does not report all day.
         let degraded = if quality.degraded {
-            loss > limits.loss_permille / 2 || round_trip > limits.round_trip / 2
+            loss > LOSS_LIMIT_PERMILLE / 2 || round_trip > round_trip_limit / 2
         } else {
-            loss > limits.loss_permille || round_trip > limits.round_trip
+            loss > LOSS_LIMIT_PERMILLE || round_trip > round_trip_limit
         };
         let turned = std::mem::replace(&mut quality.degraded, degraded) != degraded;
         // What crosses it costs as many transmissions as it takes until one and its acknowledgement
@@ -112,8 +100,7 @@ impl QualityEstimator {
 mod tests {
     use super::*;
 
-    const LIMITS: QualityLimits =
-        QualityLimits { loss_permille: 100, round_trip: Duration::from_millis(250) };
+    const HELLO: Duration = Duration::from_millis(50);
 
     fn at(seconds: u64) -> Instant {
         Instant::from_millis(seconds * 1000)
@@ -123,13 +110,13 @@ mod tests {
     fn a_link_becomes_dearer_at_once_and_cheaper_only_after_a_while() {
         let mut gauge = QualityEstimator::default();
 
-        assert!(!gauge.judge(50, LIMITS, at(10)), "a twentieth is within the reserve");
-        assert!(gauge.judge(150, LIMITS, at(11)));
+        assert!(!gauge.judge(50, HELLO, at(10)), "a twentieth is within the reserve");
+        assert!(gauge.judge(150, HELLO, at(11)));
         assert_eq!((gauge.quality().cost_percent, gauge.quality().degraded), (800, true));
-        assert!(gauge.judge(0, LIMITS, at(12)), "no longer degraded");
+        assert!(gauge.judge(0, HELLO, at(12)), "no longer degraded");
         assert_eq!(gauge.quality().cost_percent, 800, "but dear for a while");
-        assert!(!gauge.judge(0, LIMITS, at(15)));
-        assert!(gauge.judge(0, LIMITS, at(16)));
+        assert!(!gauge.judge(0, HELLO, at(15)));
+        assert!(gauge.judge(0, HELLO, at(16)));
         assert_eq!(gauge.quality().cost_percent, 100);
     }
 
@@ -140,7 +127,7 @@ mod tests {
         for tenth in 0..1000 {
             let before = gauge.quality().cost_percent;
             let loss = if tenth % 2 == 0 { 0 } else { 400 };
-            gauge.judge(loss, LIMITS, Instant::from_millis(1000 + tenth * 100));
+            gauge.judge(loss, HELLO, Instant::from_millis(1000 + tenth * 100));
             changes += usize::from(gauge.quality().cost_percent != before);
         }
         assert!((2..=40).contains(&changes), "{changes} in 100 s");

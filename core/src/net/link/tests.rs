@@ -360,7 +360,7 @@ fn a_node_that_is_run_late_loses_no_hellos_and_adds_nothing_to_its_round_trips()
 #[test]
 fn an_observer_that_is_a_little_late_first_reads_what_has_come() {
     let mut cable = running();
-    let due = cable.ends[0].silent_at(cable.ends[0].config.suspect_after_percent).unwrap();
+    let due = cable.ends[0].silent_at(Link::SUSPECT_AFTER_PERCENT).unwrap();
 
     cable.ends[0].handle_timeout(due + Duration::from_millis(5));
 

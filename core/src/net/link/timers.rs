@@ -12,11 +12,11 @@ pub(crate) enum LinkTimer {
     /// Reports once that no neighbour has proved to be there: `peer_timeout` and five hello
     /// intervals after the start.
     PeerMissing,
-    /// Takes down a link whose neighbour is silent or does not receive, `down_after_percent` past
+    /// Takes down a link whose neighbour is silent or does not receive, 2.5 hello intervals past
     /// the expected hello and its last frame; one that is not up loses its proof (BFD: detection
     /// time).
     DownDetection,
-    /// Suspects a monitored link, `suspect_after_percent` past the expected hello and the last
+    /// Suspects a monitored link, a hello interval past the expected hello and the last
     /// frame (NFD-E: freshness point).
     SuspectDetection,
 }
@@ -44,7 +44,7 @@ impl Timers for Link {
             }
             LinkTimer::SuspectDetection => {
                 let monitored = self.state == LinkState::Up || self.is_proving();
-                self.silent_at(self.config.suspect_after_percent).filter(|_| monitored)
+                self.silent_at(Self::SUSPECT_AFTER_PERCENT).filter(|_| monitored)
             }
         }
     }

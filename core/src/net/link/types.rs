@@ -36,20 +36,9 @@ pub struct LinkConfig {
     /// How often a hello is sent, unless the medium is too slow for it. Shorter finds a dead link
     /// sooner and costs more.
     pub hello_interval: Duration,
-    /// So many percent of an interval after its time, a missing hello makes the link suspect:
-    /// traffic avoids it where it can. Lower fails over sooner, and more often without need.
-    pub suspect_after_percent: u32,
-    /// So many percent of an interval after its time, a missing hello takes the link down. On a
-    /// link that loses hellos anyway, more must be missing, so that loss alone takes it down once
-    /// in some 100,000 hellos.
-    pub down_after_percent: u32,
     /// So many hellos bring a new link up, where each that is missing takes back two; a link that
     /// was down needs twice as many, and again twice as many for each further failure.
     pub up_after_hellos: u32,
-    /// A link that loses more than this of a thousand hellos is degraded.
-    pub degraded_loss_permille: u16,
-    /// A link whose round trip takes longer than this, and than a hello interval, is degraded.
-    pub degraded_round_trip: Duration,
 }
 
 impl LinkConfig {
@@ -61,13 +50,7 @@ impl LinkConfig {
             expected: None,
             peer_timeout: PEER_TIMEOUT,
             hello_interval: HELLO_INTERVAL,
-            // Expected at 1, suspect at 2, down at 3.5 intervals after the last hello: two lost in
-            // a row divert traffic, three take the link down (ITU-T G.8013: 3.5 intervals).
-            suspect_after_percent: 100,
-            down_after_percent: 250,
             up_after_hellos: 3,
-            degraded_loss_permille: 100,
-            degraded_round_trip: Duration::from_millis(250),
         }
     }
 }

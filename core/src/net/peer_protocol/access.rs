@@ -11,7 +11,6 @@ use crate::net::trust::policy::Verb;
 use crate::net::wire::message::PeerMessage;
 use crate::net::wire::node_id::NodeId;
 use crate::{DeliveryError, ObjectName, TrafficClass};
-use bytes::Bytes;
 
 /// What the component of a service is called after the service's name.
 const REPLICA: &str = "/replica";
@@ -97,7 +96,7 @@ impl PeerProtocol {
                 let before = std::mem::replace(&mut bound.access, access);
                 let newly = bound.access.full_refusal().filter(|_| before.full_refusal().is_none());
                 if let Some(why) = newly.map(DeliveryError::from) {
-                    let (binding, identity) = (*binding, Bytes::new());
+                    let (binding, identity) = (*binding, Vec::new());
                     tell(PeerMessage::BindRefused { binding, why, identity });
                 }
             }

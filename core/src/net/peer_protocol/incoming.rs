@@ -7,11 +7,14 @@ use super::{
     BINDINGS_MAX, CALLS_MAX, MessageTarget, PeerProtocol, PeerProtocolOutput, RemoteTopic,
     TopicContract, control, refuse,
 };
-use crate::net::wire::message::{PeerMessage, TICK_US};
+use crate::net::wire::message::{FORMS_MAX, PeerMessage, TICK_US};
 use crate::net::wire::node_id::NodeId;
 use crate::{DeliveryError, GatherBuffer, Instant, ObjectName, PeerIdentity, TrafficClass};
 use bytes::Bytes;
 use std::time::Duration;
+
+/// The longest name of a topic, in bytes.
+const TOPIC_MAX: usize = 255;
 
 impl PeerProtocol {
     /// A peer says something.
@@ -153,10 +156,13 @@ impl PeerProtocol {
             PeerMessage::RosterSerial { serial } => self.handle_serial(peer, serial),
             PeerMessage::RosterRequest => self.handle_roster_request(peer),
             PeerMessage::Roster { text } => {
-                self.outputs.push_back(PeerProtocolOutput::Roster { peer, text });
+                self.outputs.push_back(PeerProtocolOutput::Roster { peer, text: text.into() });
             }
             PeerMessage::Directory { message } => {
-                self.outputs.push_back(PeerProtocolOutput::Directory { peer, message });
+                self.outputs.push_back(PeerProtocolOutput::Directory {
+                    peer,
+                    message: message.into(),
+                });
             }
             PeerMessage::Leaving => self.outputs.push_back(PeerProtocolOutput::Bye { peer }),
             PeerMessage::NotReady { binding } => match session.handle_not_ready(binding) {
@@ -176,7 +182,7 @@ impl PeerProtocol {
         }
     }
 
-    fn handle_bind(&mut self, peer: NodeId, binding: u32, object: ObjectName, identity: &Bytes) {
+    fn handle_bind(&mut self, peer: NodeId, binding: u32, object: ObjectName, identity: &Vec<u8>) {
         let Some(session) = self.peers.get(&peer).and_then(|peer| peer.session.as_ref()) else {
             return;
         };
@@ -187,7 +193,7 @@ impl PeerProtocol {
         let epoch = session.epoch;
         let Some(identity) = self.take_in(peer, identity).map(Box::new) else {
             let why = DeliveryError::Undecodable { reason: "the contract's identity".into() };
-            let refused = PeerMessage::BindRefused { binding, why, identity: Bytes::new() };
+            let refused = PeerMessage::BindRefused { binding, why, identity: Vec::new() };
             self.outputs.push_back(control(peer, &refused));
             return;
         };
@@ -209,7 +215,7 @@ impl PeerProtocol {
         peer: NodeId,
         subscription: u32,
         topic: String,
-        identities: &[Bytes],
+        identities: &[Vec<u8>],
     ) {
         let session = self.peers.get(&peer).and_then(|peer| peer.session.as_ref());
         if session.is_none_or(|session| session.subscriptions.contains_key(&subscription)) {
@@ -218,7 +224,9 @@ impl PeerProtocol {
         }
         // A topic carries one contract, in several versions.
         let of_one = |all: &Vec<PeerIdentity>| {
-            all.first().is_some_and(|first| all.iter().all(|other| other.name == first.name))
+            topic.len() <= TOPIC_MAX
+                && all.len() <= FORMS_MAX
+                && all.first().is_some_and(|first| all.iter().all(|other| other.name == first.name))
         };
         let Some(identities) = self.take_in(peer, identities).filter(of_one) else {
             let why = DeliveryError::Undecodable { reason: "the contract's identity".into() };
@@ -239,7 +247,7 @@ impl PeerProtocol {
     }
 
     /// A peer wants something new of us: within bounds, and with a contract that can be read.
-    fn take_in(&mut self, peer: NodeId, identities: &[Bytes]) -> Option<Vec<PeerIdentity>> {
+    fn take_in(&mut self, peer: NodeId, identities: &[Vec<u8>]) -> Option<Vec<PeerIdentity>> {
         let session = self.peers.get(&peer)?.session.as_ref()?;
         if session.bound.len() + session.subscriptions.len() >= BINDINGS_MAX {
             self.refusals.too_large += 1;

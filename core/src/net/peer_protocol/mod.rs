@@ -205,7 +205,7 @@ impl PeerProtocol {
             None => {
                 self.next_binding = self.next_binding.wrapping_add(1);
                 let number = self.next_binding;
-                let identity = contract.full().encode().into();
+                let identity = contract.full().encode();
                 let object = key.0.clone();
                 session.numbers.insert(number, key.clone());
                 let strand = OrderingKey::to(&object);
@@ -233,7 +233,7 @@ impl PeerProtocol {
         let answer = match result {
             Ok(()) => PeerMessage::Bound { binding },
             Err((why, known)) => {
-                let identity = known.map(|known| known.full().encode().into()).unwrap_or_default();
+                let identity = known.map(|known| known.full().encode()).unwrap_or_default();
                 PeerMessage::BindRefused { binding, why, identity }
             }
         };
@@ -492,7 +492,7 @@ fn subscribe(topic: &TopicContract, interest: &RemoteTopic) -> PeerMessage {
     let present = identities.first().map(ContractIdentity::full);
     let former = identities.iter().skip(1).map(ContractIdentity::brief);
     let all = present.into_iter().chain(former).take(FORMS_MAX);
-    let identities = all.map(|identity| identity.encode().into()).collect();
+    let identities = all.map(|identity| identity.encode()).collect();
     PeerMessage::Subscribe { subscription: *subscription, topic: topic.topic.clone(), identities }
 }
 

@@ -9,9 +9,12 @@
 //! on the network: without its word the peers would find out only by what does not come.
 
 use super::{PeerProtocol, control};
-use crate::net::wire::message::{PeerMessage, REASON_MAX};
+use crate::net::wire::message::PeerMessage;
 use crate::net::wire::node_id::NodeId;
 use bytes::Bytes;
+
+/// The most letters of a safe state's reason that peers are told: a panic's text, shortened.
+const REASON_MAX: usize = 256;
 
 /// What peers are told of this node.
 #[derive(Debug, Default)]
@@ -37,8 +40,7 @@ impl NodeState {
 impl PeerProtocol {
     /// This node is in the safe state, for this reason, or has left it.
     pub fn handle_safe_state(&mut self, reason: Option<String>) {
-        // Four bytes a letter at most.
-        let shortened = reason.map(|reason| reason.chars().take(REASON_MAX / 4).collect());
+        let shortened = reason.map(|reason| reason.chars().take(REASON_MAX).collect());
         self.own.safe_state = Some(shortened);
         self.tell_own();
     }
@@ -56,7 +58,7 @@ impl PeerProtocol {
 
     /// The directory of this node says this to that of a peer.
     pub fn handle_directory(&mut self, peer: NodeId, message: Bytes) {
-        self.tell(peer, &PeerMessage::Directory { message });
+        self.tell(peer, &PeerMessage::Directory { message: message.into() });
     }
 
     /// A peer has the roster of this serial number. It is asked for it, if that is newer.
@@ -69,7 +71,7 @@ impl PeerProtocol {
     /// A peer has an older roster.
     pub(super) fn handle_roster_request(&mut self, peer: NodeId) {
         if let Some((_, text)) = self.own.roster.clone() {
-            self.outputs.push_back(control(peer, &PeerMessage::Roster { text }));
+            self.outputs.push_back(control(peer, &PeerMessage::Roster { text: text.into() }));
         }
     }
 }

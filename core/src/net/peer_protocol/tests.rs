@@ -434,7 +434,7 @@ fn a_returned_message_resolves_its_request() {
 #[test]
 fn a_peer_that_binds_without_end_is_refused_beyond_the_limit() {
     let mut pair = Pair::open();
-    let identity: Bytes = count().brief().encode().into();
+    let identity = count().brief().encode();
     for binding in 0..BINDINGS_MAX as u32 + 3 {
         let bind = PeerMessage::Bind { binding, object: arm(), identity: identity.clone() };
         pair.ends[0].handle_message(pair.ids[1], bind.encode().into_bytes(), at(0));

@@ -82,9 +82,20 @@ impl Router {
     /// MinLSInterval).
     const PACE: Duration = Duration::from_millis(5);
 
+    /// How often a node repeats what nothing has changed in.
+    const REFRESH: Duration = Duration::from_secs(10);
+    /// A node that was not announced for so long is forgotten: at least three refreshes.
+    const LIFETIME: Duration = Duration::from_secs(35);
+    /// How often neighbours compare what they know; ten times as rarely over narrow media.
+    const COMPARE: Duration = Duration::from_secs(1);
+    /// After how long an advertisement is repeated that a neighbour has not confirmed, then after
+    /// twice that and so on up to eight times it; ten times as long over narrow media: several
+    /// round trips of any medium that a robot has, and still within one hello or two.
+    const RESEND: Duration = Duration::from_millis(40);
+
     /// A router without links.
     pub fn new(config: RouterConfig, now: Instant) -> Self {
-        let wake_at = now + config.refresh;
+        let wake_at = now + Self::REFRESH;
         Router {
             links: SortedMap::new(),
             isolation: IsolatedNodes::default(),
@@ -110,7 +121,7 @@ impl Router {
     ) -> Self {
         let mut router = Router::new(config, now);
         // Neighbours compare what they know at once, and again after this.
-        let until = now + router.config.compare;
+        let until = now + Self::COMPARE;
         router.remembered = Some((until, reached.into_iter().collect()));
         router.wake_at = router.wake_at.min(until);
         router
@@ -336,9 +347,8 @@ impl Router {
     /// When our own links are announced next.
     pub(super) fn refresh_due(&self) -> Instant {
         let links = u32::try_from(self.links.len()).unwrap_or(u32::MAX);
-        let paced = Self::PACE.saturating_mul(links).min(self.config.refresh);
-        self.database.announced_at
-            + if self.database.has_news { paced } else { self.config.refresh }
+        let paced = Self::PACE.saturating_mul(links).min(Self::REFRESH);
+        self.database.announced_at + if self.database.has_news { paced } else { Self::REFRESH }
     }
 
     /// Our own links have changed: all nodes must know.
@@ -399,7 +409,7 @@ impl Router {
     /// Gives these origins' advertisements to a neighbour until it confirms them.
     pub(super) fn announce(&mut self, link: LinkId, origins: &[NodeId]) {
         let Some(adjacent) = self.links.get_mut(&link) else { return };
-        let first = patience(adjacent.mtu, self.config.resend);
+        let first = patience(adjacent.mtu, Self::RESEND);
         let longest = first * 8;
         let capacity = usize::from(adjacent.mtu) - FRAME_HEADER;
         for origin in origins {
@@ -433,7 +443,7 @@ impl Router {
     /// Tells a neighbour all that we know of, so that it can send what we lack.
     pub(super) fn compare(&mut self, link: LinkId) {
         let Some(adjacent) = self.links.get_mut(&link) else { return };
-        adjacent.compare_at = self.now + patience(adjacent.mtu, self.config.compare);
+        adjacent.compare_at = self.now + patience(adjacent.mtu, Self::COMPARE);
         self.wake_at = self.wake_at.min(adjacent.compare_at);
         let capacity = (usize::from(adjacent.mtu) - FRAME_HEADER - HAVE_HEADER) / ID_LENGTH;
         let ids = self.database.ids();
@@ -508,7 +518,7 @@ impl Router {
 
     fn learn(&mut self, advertisement: Advertisement, from: LinkId) {
         let origin = advertisement.id.origin;
-        let expires = self.now + self.config.lifetime;
+        let expires = self.now + Self::LIFETIME;
         self.wake_at = self.wake_at.min(expires);
         let before = self.database.known.remove(&origin).map(|before| before.advertisement);
         let same = before.is_some_and(|before| {

@@ -6,7 +6,6 @@ use crate::net::wire::node_id::NodeId;
 use crate::net::wire::packet::UndeliveredReason;
 use crate::{GatherBuffer, Incarnation, NodeName};
 use bytes::Bytes;
-use std::time::Duration;
 
 /// How a router behaves.
 #[derive(Clone, Debug)]
@@ -18,15 +17,6 @@ pub struct RouterConfig {
     /// The most nodes that are remembered; more are refused and counted. Bounds memory and the time
     /// that a change takes.
     pub nodes_max: usize,
-    /// How often we repeat what nothing has changed in. Shorter repairs sooner and costs more.
-    pub refresh: Duration,
-    /// A node that was not announced for so long is forgotten. At least three times `refresh`.
-    pub lifetime: Duration,
-    /// How often neighbours compare what they know; ten times as rarely over narrow media.
-    pub compare: Duration,
-    /// After how long an advertisement is repeated that a neighbour has not confirmed, then after
-    /// twice that and so on up to eight times it; ten times as long over narrow media.
-    pub resend: Duration,
     /// How many nodes may pass a packet on, at most 31.
     pub hops: u8,
 }
@@ -34,18 +24,7 @@ pub struct RouterConfig {
 impl RouterConfig {
     /// The usual behaviour for this node.
     pub fn new(node: NodeName, incarnation: Incarnation) -> Self {
-        RouterConfig {
-            node,
-            incarnation,
-            nodes_max: 256,
-            refresh: Duration::from_secs(10),
-            lifetime: Duration::from_secs(35),
-            compare: Duration::from_secs(1),
-            // Several round trips of any medium that a robot has, and still within one hello or
-            // two.
-            resend: Duration::from_millis(40),
-            hops: 16,
-        }
+        RouterConfig { node, incarnation, nodes_max: 256, hops: 16 }
     }
 }
 

@@ -11,6 +11,14 @@ const MESSAGE_MAX: usize = (1 << 20) + 4096;
 /// What an exchange puts before a message at most: its kind, four numbers and an identity.
 const HEADER_MAX: usize = 64;
 
+/// How many parts of a stream may be on their way, and may arrive ahead of their turn.
+pub(super) const WINDOW: u32 = 256;
+/// The largest part in bytes, however large the path's frames are: larger costs less per byte,
+/// smaller lets control through sooner.
+pub(super) const CHUNK_MAX: usize = 64 * 1024;
+/// How long an acknowledgement may wait for something to travel with.
+pub(super) const ACK_DELAY: Duration = Duration::from_millis(2);
+
 /// The most bytes of a message of the application's that a session carries.
 pub const PAYLOAD_MAX: usize = MESSAGE_MAX - HEADER_MAX;
 
@@ -40,20 +48,6 @@ pub struct SessionConfig {
     pub buffer_bytes: usize,
     /// The number of messages, likewise.
     pub buffer_messages: usize,
-    /// How many parts of a stream may be on their way, and may arrive ahead of their turn.
-    pub window: u32,
-    /// The bytes of data that may be on their way: they should fit into the buffers of the sockets
-    /// there.
-    pub window_bytes: usize,
-    /// The largest part in bytes, however large the path's frames are. Larger costs less per byte;
-    /// smaller lets control through sooner.
-    pub chunk_max: usize,
-    /// How long an acknowledgement may wait for something to travel with.
-    pub ack_delay: Duration,
-    /// The shortest time after which silence is taken for loss.
-    pub retransmit_min: Duration,
-    /// The longest time after which silence is taken for loss.
-    pub retransmit_max: Duration,
     /// The most best-effort channels of the peer that are remembered: those that were used last.
     pub channels_max: usize,
 }
@@ -72,13 +66,6 @@ impl SessionConfig {
             // Eight of the largest messages, or a second of 1 kB at 8 kHz.
             buffer_bytes: 8 << 20,
             buffer_messages: 8192,
-            window: 256,
-            window_bytes: 1024 * 1024,
-            chunk_max: 64 * 1024,
-            ack_delay: Duration::from_millis(2),
-            // Ten times the delay of acknowledgements.
-            retransmit_min: Duration::from_millis(20),
-            retransmit_max: Duration::from_millis(500),
             channels_max: 1024,
         }
     }

@@ -46,14 +46,15 @@ const BASE_TOLERANCE: Duration = Duration::from_millis(2);
 /// wait for the timers of a busy computer.
 const BURST: Duration = Duration::from_millis(8);
 
+/// The most bytes that may be on their way: they should fit into the buffers of the sockets there.
+pub(super) const MOST: usize = 1024 * 1024;
+
 /// The control of what travels along one path.
 #[derive(Debug)]
 pub(super) struct CongestionControl {
     is_narrow: bool,
     /// The bytes of a part by which the window is counted.
     part: usize,
-    /// The most bytes.
-    most: usize,
     window: usize,
     is_slow_start: bool,
     /// The shortest delay on this path, and when one was about as short. Delays are one way, from a
@@ -102,12 +103,11 @@ pub(super) struct CongestionSignal {
 }
 
 impl CongestionControl {
-    /// For a path of which nothing is known but what it is taken for; `most` bytes at most.
-    pub(super) fn new(most: usize) -> Self {
+    /// For a path of which nothing is known.
+    pub(super) fn new() -> Self {
         CongestionControl {
             is_narrow: false,
             part: PART,
-            most,
             window: INITIAL * PART,
             is_slow_start: true,
             base: None,
@@ -258,7 +258,7 @@ impl CongestionControl {
             }
         }
         let least = LEAST_CROWDED * self.part;
-        let most = if self.is_narrow { MOST_NARROW * self.part } else { self.most };
+        let most = if self.is_narrow { MOST_NARROW * self.part } else { MOST };
         self.window = self.window.clamp(least.min(most), most);
     }
 
@@ -313,7 +313,7 @@ mod tests {
 
     impl Path {
         fn new(rate: usize, base: Duration) -> Self {
-            let mut control = CongestionControl::new(1 << 20);
+            let mut control = CongestionControl::new();
             control.enter_path(PART, false);
             let now = Instant::ORIGIN + Duration::from_secs(1);
             Path {
@@ -399,7 +399,7 @@ mod tests {
 
     #[test]
     fn control_that_has_passed_a_queue_hides_it_not_and_an_old_delay_counts_no_more() {
-        let mut control = CongestionControl::new(1 << 20);
+        let mut control = CongestionControl::new();
         let now = Instant::ORIGIN + Duration::from_secs(1);
         let mut told = |lane, delay: Duration, after: Duration| {
             let delay = DelayTicks::of(Instant::ORIGIN + delay);

@@ -1,5 +1,6 @@
 //! How a session begins and ends.
 
+use super::round_trip::RttEstimator;
 use super::{RemoteEnd, Session, SessionOutput, State, Unsettled, VERSION, tag};
 use crate::net::wire::WireError;
 use crate::net::wire::packet::PacketPriority;
@@ -10,7 +11,7 @@ impl Session {
     pub(super) fn open(&mut self, peer: Option<RemoteEnd>) {
         self.identity.number = self.identity.number.saturating_add(1);
         self.identity.tag = tag::tag(&self.config, self.identity.number);
-        let pause = self.config.retransmit_min * if self.is_narrow() { 10 } else { 1 };
+        let pause = RttEstimator::SHORTEST * if self.is_narrow() { 10 } else { 1 };
         self.state = State::Opening { peer, again_at: self.now, pause };
         self.transmit_open();
     }
@@ -18,7 +19,7 @@ impl Session {
     pub(super) fn transmit_open(&mut self) {
         let State::Opening { peer, pause, .. } = self.state else { return };
         // Grows by half each time, up to the longest retransmission.
-        let next = (pause * 3 / 2).min(self.config.retransmit_max);
+        let next = (pause * 3 / 2).min(RttEstimator::LONGEST);
         self.state = State::Opening { peer, again_at: self.now + pause, pause: next };
         self.tell_open(peer.map_or(0, |peer| peer.tag));
     }

@@ -89,9 +89,14 @@ impl Inbound {
         self.next.saturating_add(self.window.into())
     }
 
-    /// Is this part within the window, and not here yet?
+    /// Whether this part has arrived.
+    pub(crate) fn has(&self, sequence: u64) -> bool {
+        sequence < self.next || self.ahead.contains_key(&sequence)
+    }
+
+    /// Whether this part is within the window, and has not arrived.
     pub(crate) fn expects(&self, sequence: u64) -> bool {
-        (self.next..self.limit()).contains(&sequence) && !self.ahead.contains_key(&sequence)
+        sequence < self.limit() && !self.has(sequence)
     }
 
     /// A part has arrived; `deliver` gets every message that it completes.

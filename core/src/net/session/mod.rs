@@ -32,7 +32,6 @@ mod best_effort;
 mod chunker;
 mod config;
 mod congestion;
-mod duplicates;
 mod flight;
 mod handshake;
 mod inbound;
@@ -55,8 +54,8 @@ pub use self::output::{Refused, SessionCounters, SessionOutput};
 pub use self::status::{SessionState, SessionStatus};
 
 use self::best_effort::{BestEffortInbound, BestEffortOutbound};
+use self::config::WINDOW;
 use self::congestion::CongestionControl;
-use self::duplicates::DuplicateDiscard;
 use self::inbound::Inbound;
 use self::outbound::Outbound;
 use self::queue::OutboundMessage;
@@ -77,7 +76,8 @@ use std::time::Duration;
 /// of a large one; from 3 on acknowledgements tell when the last part arrived; from 4 on each class
 /// has a stream of its own; from 6 on an open tells what arrived in the session before; from 7 on
 /// faults come as requests, and a reply that cannot be written is an error of its own; from 8 on
-/// one acknowledgement speaks of all streams; from 9 on a session tells what a node says of itself.
+/// one acknowledgement speaks of all streams; from 9 on a session tells what a node says of itself, and
+/// the codec writes what is no daily traffic.
 pub const VERSION: u8 = 9;
 
 /// The machine of one peer node's sessions, one after the other.
@@ -90,7 +90,8 @@ pub struct Session {
     /// By class, as all arrays here.
     streams: [StreamState; TrafficClass::COUNT],
     turns: WeightedTurns,
-    assembly: Assembly,
+    /// What has arrived of the streams, and is not whole.
+    pieces: Reassembly<(TrafficClass, u64)>,
     datagrams: DatagramState,
     now: Instant,
     counters: SessionCounters,
@@ -125,13 +126,6 @@ struct SessionPath {
     waiting_since: Option<Instant>,
     /// Why a router last returned a segment, since the peer's last one.
     returned: Option<UndeliveredReason>,
-}
-
-/// What has arrived of the streams, and is not whole.
-#[derive(Debug)]
-struct Assembly {
-    pieces: Reassembly<(TrafficClass, u64)>,
-    replicas: DuplicateDiscard,
 }
 
 /// The messages of which the newest counts.
@@ -206,14 +200,14 @@ impl Session {
             before: None,
             unsettled: None,
         };
-        let congestion = CongestionControl::new(config.window_bytes);
+        let congestion = CongestionControl::new();
         Session {
             state: State::Idle,
             identity,
             path: SessionPath { mtu: None, congestion, waiting_since: None, returned: None },
             streams,
             turns: WeightedTurns::default(),
-            assembly: Assembly::new(&config),
+            pieces: reassembly(&config),
             datagrams: DatagramState::new(&config),
             now,
             counters: SessionCounters::default(),
@@ -503,7 +497,7 @@ impl Session {
             *state = StreamState { rtt: state.rtt, ..StreamState::new(&self.config) };
         }
         self.counters = self.counters();
-        self.assembly = Assembly::new(&self.config);
+        self.pieces = reassembly(&self.config);
         self.datagrams = DatagramState::new(&self.config);
         self.path.congestion.restart(self.now);
         self.path.waiting_since = None;
@@ -539,9 +533,9 @@ impl Session {
 impl StreamState {
     fn new(config: &SessionConfig) -> Self {
         StreamState {
-            outbound: Outbound::new(config.window),
-            inbound: Inbound::new(config.window, config.message_max),
-            rtt: RttEstimator::new(config.retransmit_min, config.retransmit_max),
+            outbound: Outbound::new(WINDOW),
+            inbound: Inbound::new(WINDOW, config.message_max),
+            rtt: RttEstimator::new(),
             retransmit_at: None,
         }
     }
@@ -550,12 +544,6 @@ impl StreamState {
 /// Keeps pieces of two of the largest messages, for five seconds.
 fn reassembly<K: Ord + Copy>(config: &SessionConfig) -> Reassembly<K> {
     Reassembly::new(config.message_max.saturating_mul(2), Duration::from_secs(5))
-}
-
-impl Assembly {
-    fn new(config: &SessionConfig) -> Self {
-        Assembly { pieces: reassembly(config), replicas: DuplicateDiscard::default() }
-    }
 }
 
 impl DatagramState {

@@ -91,9 +91,4 @@ pub struct SessionCounters {
     pub last_return: Option<UndeliveredReason>,
     /// Copies on the redundant stream that were dropped, for the first had arrived.
     pub replicas: u64,
-    /// Parts of that stream of which no copy came in time; they were repeated.
-    pub missed: u64,
-    /// Parts of that stream of which fewer copies came than of others around: some way does not
-    /// carry, which the delivery does not show.
-    pub alone: u64,
 }

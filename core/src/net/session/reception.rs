@@ -1,8 +1,9 @@
 //! What a session does with what arrives.
 
 use super::best_effort::DatagramStatus;
+use super::config::ACK_DELAY;
 use super::inbound::ChunkStatus;
-use super::{Session, SessionOutput, State, duplicates};
+use super::{Session, SessionOutput, State};
 use crate::net::wire::packet::PacketPriority;
 use crate::net::wire::segment::{Data, Datagram, Segment};
 use crate::{DeliveryError, TrafficClass};
@@ -16,13 +17,14 @@ impl Session {
             self.handle_ack(stream, &ack);
         }
         let copied = stream == TrafficClass::Redundant && !again && piece.is_none();
-        if copied && self.assembly.replicas.handle(sequence) == duplicates::CopyStatus::Replica {
+        if copied && self.streams[stream as usize].inbound.has(sequence) {
+            self.counters.replicas += 1;
             return self.close_when_done();
         }
         let payload = payload.into_bytes();
         let whole = match piece {
             Some(piece) if self.streams[stream as usize].inbound.expects(sequence) => {
-                self.assembly.pieces.handle((stream, sequence), piece, payload, self.now)
+                self.pieces.handle((stream, sequence), piece, payload, self.now)
             }
             _ => Some(payload),
         };
@@ -64,7 +66,7 @@ impl Session {
         const NARROW_MAX: Duration = Duration::from_millis(50);
         let trip = self.round_trip().filter(|_| self.is_narrow());
         let quarter = trip.map_or(Duration::ZERO, |trip| trip / 4);
-        self.config.ack_delay.max(quarter.min(NARROW_MAX))
+        ACK_DELAY.max(quarter.min(NARROW_MAX))
     }
 
     pub(super) fn handle_datagram(&mut self, datagram: Datagram) {

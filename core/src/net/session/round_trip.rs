@@ -1,5 +1,6 @@
 //! How long an answer takes, and how long to wait for one (RFC 6298).
 
+use crate::net::smooth;
 use std::time::Duration;
 
 /// The estimator of one session.
@@ -11,8 +12,6 @@ pub(crate) struct RttEstimator {
     /// first sending (Karn's algorithm).
     backoff: u32,
     narrow: bool,
-    shortest: Duration,
-    longest: Duration,
 }
 
 impl RttEstimator {
@@ -26,16 +25,14 @@ impl RttEstimator {
     const SHORTEST_NARROW: Duration = Duration::from_millis(400);
     /// The longest there.
     const LONGEST_NARROW: Duration = Duration::from_secs(2);
+    /// The shortest time after which silence is taken for loss: ten times the delay of
+    /// acknowledgements.
+    pub(crate) const SHORTEST: Duration = Duration::from_millis(20);
+    /// The longest one.
+    pub(crate) const LONGEST: Duration = Duration::from_millis(500);
 
-    pub(crate) fn new(shortest: Duration, longest: Duration) -> Self {
-        RttEstimator {
-            smoothed: None,
-            deviation: Duration::ZERO,
-            backoff: 0,
-            narrow: false,
-            shortest,
-            longest,
-        }
+    pub(crate) fn new() -> Self {
+        RttEstimator { smoothed: None, deviation: Duration::ZERO, backoff: 0, narrow: false }
     }
 
     pub(crate) fn smoothed(&self) -> Option<Duration> {
@@ -45,16 +42,7 @@ impl RttEstimator {
     /// An answer took so long.
     pub(crate) fn measure(&mut self, sample: Duration) {
         self.progress();
-        match self.smoothed {
-            None => {
-                self.smoothed = Some(sample);
-                self.deviation = sample / 2;
-            }
-            Some(smoothed) => {
-                self.deviation = (self.deviation * 3 + smoothed.abs_diff(sample)) / 4;
-                self.smoothed = Some((smoothed * 7 + sample) / 8);
-            }
-        }
+        smooth(&mut self.smoothed, &mut self.deviation, sample);
     }
 
     /// On a narrow one a single segment may take long.
@@ -66,7 +54,7 @@ impl RttEstimator {
     pub(crate) fn timeout(&self) -> Duration {
         let (initial, shortest, longest) = match self.narrow {
             true => (Self::INITIAL_NARROW, Self::SHORTEST_NARROW, Self::LONGEST_NARROW),
-            false => (Self::INITIAL, self.shortest, self.longest),
+            false => (Self::INITIAL, Self::SHORTEST, Self::LONGEST),
         };
         // Steady round trips say nothing of the next one, which a busy computer or a radio delays:
         // the shortest timeout comes on top of them (TCP in Linux does the same with 200 ms).
@@ -97,7 +85,7 @@ mod tests {
 
     #[test]
     fn the_timeout_follows_the_measured_round_trip_within_its_bounds() {
-        let mut trip = RttEstimator::new(20 * MS, 1000 * MS);
+        let mut trip = RttEstimator::new();
         assert_eq!(trip.timeout(), 100 * MS);
         trip.measure(40 * MS);
         assert_eq!(trip.timeout(), 120 * MS, "40 + 4 * 20");
@@ -109,13 +97,13 @@ mod tests {
         for _ in 0..40 {
             trip.back_off();
         }
-        assert_eq!(trip.timeout(), 1000 * MS, "never above the longest");
+        assert_eq!(trip.timeout(), 500 * MS, "never above the longest");
         trip.progress();
         assert_eq!(trip.timeout(), steady);
     }
     #[test]
     fn on_a_narrow_path_no_small_message_shortens_it_and_its_doublings_last_until_a_measurement() {
-        let mut trip = RttEstimator::new(20 * MS, 500 * MS);
+        let mut trip = RttEstimator::new();
         trip.enter_path(true);
         assert_eq!(trip.timeout(), 1000 * MS);
         for _ in 0..100 {

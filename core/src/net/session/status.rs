@@ -1,6 +1,5 @@
 //! The status of a session, for display.
 
-use super::duplicates::DuplicateDiscard;
 use super::{Session, SessionCounters, State};
 use crate::Incarnation;
 use crate::net::wire::Refusals;
@@ -80,13 +79,9 @@ impl Session {
 
     /// What it did so far.
     pub fn counters(&self) -> SessionCounters {
-        let unfinished = self.assembly.pieces.given_up + self.datagrams.inbound.unfinished();
-        let DuplicateDiscard { dropped, missed, alone, .. } = self.assembly.replicas;
+        let unfinished = self.pieces.given_up + self.datagrams.inbound.unfinished();
         SessionCounters {
             incomplete: self.counters.incomplete + unfinished,
-            replicas: self.counters.replicas + dropped,
-            missed: self.counters.missed + missed,
-            alone: self.counters.alone + alone,
             replaced: self.counters.replaced + self.datagrams.outbound.replaced,
             ..self.counters
         }

@@ -22,7 +22,7 @@ pub(crate) enum SessionTimer {
     OpenRetransmit,
     /// Repeats the close, [`Session::CLOSE_TRIES`] times in all (TCP: FIN timer).
     CloseRetransmit,
-    /// Lets `poll_output` acknowledge received data that nothing has taken along: `ack_delay`, up
+    /// Lets `poll_output` acknowledge received data that nothing has taken along: `ACK_DELAY`, up
     /// to 50 ms on a narrow path (QUIC: `max_ack_delay`).
     AckDelay,
     /// Lets `poll_output` send what would have stood in queues before (RFC 9002, 7.7).

@@ -1,7 +1,8 @@
 //! What a session sends when, and what acknowledgements tell it.
 
 use super::best_effort::DatagramProgress;
-use super::congestion::{CongestionControl, CongestionSignal, DelayLane, DelaySample};
+use super::config::CHUNK_MAX;
+use super::congestion::{self, CongestionControl, CongestionSignal, DelayLane, DelaySample};
 use super::flight::{Chunk, SentPart};
 use super::reassembly::pieces_of;
 use super::round_trip::RttEstimator;
@@ -22,7 +23,7 @@ impl Session {
         self.counters.returned += 1;
         self.counters.last_return = Some(reason);
         self.path.returned = Some(reason);
-        let soon = now + self.config.retransmit_min;
+        let soon = now + RttEstimator::SHORTEST;
         for stream in &mut self.streams {
             stream.retransmit_at = stream.retransmit_at.map(|at| at.min(soon));
         }
@@ -120,7 +121,7 @@ impl Session {
         let shared = may_share.then(|| self.turns.next(|class| self.waits(class))).flatten();
         // It keeps its time whatever one of the paths is like; two windows bound it.
         let flying = self.streams[TrafficClass::Redundant as usize].outbound.flying_bytes();
-        let redundant = (flying < self.config.window_bytes).then_some(TrafficClass::Redundant);
+        let redundant = (flying < congestion::MOST).then_some(TrafficClass::Redundant);
         let order = if due { [redundant, shared, control] } else { [control, redundant, shared] };
         order.into_iter().flatten().any(|class| self.transmit_of(class, peer.tag, mtu))
             // A datagram that the path does not carry any more is dropped: others have their turn.
@@ -150,7 +151,7 @@ impl Session {
         // Room for an acknowledgement of a few ranges, or of none in a small frame; a longer one
         // travels alone.
         let ack_capacity = 32.min(mtu / 8);
-        let part_max = self.config.chunk_max.min(self.path.congestion.part_max());
+        let part_max = CHUNK_MAX.min(self.path.congestion.part_max());
         let state = &mut self.streams[stream as usize];
         let header = data_header(state.outbound.next());
         let capacity = mtu.saturating_sub(header + ack_capacity).clamp(16, part_max.max(16));
@@ -181,7 +182,7 @@ impl Session {
         // The queues before a slow line are those of its transport, which keeps them short; an
         // acknowledgement takes as long there as what it tells of.
         let is_numbered = !self.is_narrow();
-        let capacity = mtu.min(self.config.chunk_max.min(self.path.congestion.part_max()));
+        let capacity = mtu.min(CHUNK_MAX.min(self.path.congestion.part_max()));
         let way = (capacity, is_numbered);
         let Some(datagram) = self.datagrams.outbound.transmit(tag, way, self.now) else {
             return false;

@@ -208,11 +208,6 @@ impl Reader {
         }
     }
 
-    pub(crate) fn text(&mut self, limit: usize, what: &'static str) -> Result<String, WireError> {
-        let bytes = self.sized(limit, what)?;
-        String::from_utf8(bytes.into()).map_err(|_| WireError::Malformed { what })
-    }
-
     /// A name, or whatever else is parsed from a short text.
     pub(crate) fn parsed<T: std::str::FromStr>(
         &mut self,

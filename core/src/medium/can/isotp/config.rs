@@ -4,8 +4,12 @@ use super::super::frame::Format;
 use super::pdu::SeparationTime;
 use std::time::Duration;
 
-/// How an [`IsoTp`](super::IsoTp) behaves. The times in brackets are called so in ISO 15765-2,
-/// which puts each of them at one second.
+/// How long the other end, and the bus, may take: for the word on how to go on (N_Bs), for the next
+/// frame of a message (N_Cr), and for the bus to take a frame (N_As, N_Ar). ISO 15765-2 puts each at
+/// one second; less breaks transfers on a bus that is full for a while.
+pub(super) const TIMEOUT: Duration = Duration::from_secs(1);
+
+/// How an [`IsoTp`](super::IsoTp) behaves.
 #[derive(Clone, Copy, Debug)]
 #[non_exhaustive]
 pub struct IsoTpConfig {
@@ -25,18 +29,6 @@ pub struct IsoTpConfig {
     /// The least time that our senders leave between frames (STmin). Larger spares a slow receiver,
     /// and slows every long message down.
     pub separation: SeparationTime,
-    /// The least time between frames to all nodes, which do not say how fast they are.
-    pub separation_to_all: Duration,
-    /// How long a receiver may take for its word on how to go on (N_Bs). A node that is not there
-    /// is noticed after this long; on a slow bus that others use, words take longer.
-    pub flow_timeout: Duration,
-    /// How long the next frame of a message may take (N_Cr).
-    pub frame_timeout: Duration,
-    /// How long a frame may wait for the bus to take it (N_As, N_Ar). A bus without another
-    /// node never takes one.
-    pub bus_timeout: Duration,
-    /// How often in a row a receiver may let us wait (N_WFTmax): no sender waits for ever.
-    pub waits_max: u8,
 }
 
 impl Default for IsoTpConfig {
@@ -50,15 +42,6 @@ impl Default for IsoTpConfig {
             receptions_max: 64,
             block_size: 0,
             separation: SeparationTime(0),
-            // Slower than a classic frame on a bus of 250 kbit/s, so that no receiver's buffer
-            // overflows.
-            separation_to_all: Duration::from_micros(500),
-            // As the standard has them: shorter ones break transfers on a bus that is full for a
-            // while.
-            flow_timeout: Duration::from_secs(1),
-            frame_timeout: Duration::from_secs(1),
-            bus_timeout: Duration::from_secs(1),
-            waits_max: 10,
         }
     }
 }

@@ -28,16 +28,15 @@ mod reception;
 mod transmission;
 
 pub use config::IsoTpConfig;
-pub use pdu::{
-    FlowControl, FlowStatus, Pdu, PduError, PduWriter, SHORT_LENGTH_MAX, SeparationTime,
-};
+pub use pdu::{FlowControl, FlowStatus, Pdu, PduWriter, SHORT_LENGTH_MAX, SeparationTime};
 pub use reception::ReceptionError;
 pub use transmission::TransmissionError;
 
 use self::reception::{FrameResult, Reception, ReceptionContext};
 use self::transmission::{TargetType, Transmission};
-use super::address::{AddressInfo, Addressing, BusAddress};
-use super::frame::CanFrame;
+use super::address::{AddressInfo, BusAddress};
+use super::frame::{CanFrame, Format};
+use crate::medium::lane::FrameLane;
 use crate::sorted::SortedMap;
 use crate::{Instant, Machine};
 use bytes::Bytes;
@@ -47,9 +46,9 @@ use std::collections::VecDeque;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum EnqueueError {
-    /// No node of this bus can have the address.
-    #[error("no node on this bus can have the address {to}")]
-    NoSuchAddress {
+    /// It is for this node itself.
+    #[error("{to} is the address of this node itself")]
+    Ourselves {
         /// The address that was given.
         to: BusAddress,
     },
@@ -113,7 +112,6 @@ pub enum IsoTpOutput {
 #[derive(Debug)]
 pub struct IsoTp {
     own: BusAddress,
-    addressing: Addressing,
     config: IsoTpConfig,
     outgoing: SortedMap<BusAddress, Lane>,
     /// What is under way to us, by source, and whether it is to all.
@@ -134,10 +132,9 @@ struct Lane {
 
 impl IsoTp {
     /// A node with this address; `None` where no node can have it.
-    pub fn new(own: BusAddress, addressing: Addressing, config: IsoTpConfig) -> Option<Self> {
-        addressing.names(own).then(|| IsoTp {
+    pub fn new(own: BusAddress, config: IsoTpConfig) -> Option<Self> {
+        (own != BusAddress::ALL).then(|| IsoTp {
             own,
-            addressing,
             config,
             outgoing: SortedMap::new(),
             incoming: SortedMap::new(),
@@ -146,7 +143,8 @@ impl IsoTp {
         })
     }
 
-    /// Takes a message to be sent.
+    /// Takes a message to be sent. One that must not wait goes before the others that wait for the
+    /// same target, and has as much room as all of them.
     ///
     /// # Errors
     /// [`EnqueueError`]; the message is dropped.
@@ -154,34 +152,11 @@ impl IsoTp {
         &mut self,
         to: BusAddress,
         message: Bytes,
+        priority: FrameLane,
         now: Instant,
     ) -> Result<(), EnqueueError> {
-        self.take(to, message, false, now)
-    }
-
-    /// Takes a message that goes before those that wait for the same target, and for which there is
-    /// as much room as for all others.
-    ///
-    /// # Errors
-    /// [`EnqueueError`]; the message is dropped.
-    pub fn handle_urgent(
-        &mut self,
-        to: BusAddress,
-        message: Bytes,
-        now: Instant,
-    ) -> Result<(), EnqueueError> {
-        self.take(to, message, true, now)
-    }
-
-    fn take(
-        &mut self,
-        to: BusAddress,
-        message: Bytes,
-        urgent: bool,
-        now: Instant,
-    ) -> Result<(), EnqueueError> {
-        if to == self.own || to != BusAddress::ALL && !self.addressing.names(to) {
-            return Err(EnqueueError::NoSuchAddress { to });
+        if to == self.own {
+            return Err(EnqueueError::Ourselves { to });
         }
         let (length, limit) = (message.len(), self.config.message_max);
         if length == 0 || length > limit {
@@ -189,10 +164,13 @@ impl IsoTp {
         }
         let lane = self.outgoing.entry(to).or_default();
         if lane.current.is_none() {
-            lane.current = Some(Transmission::new(message, target(to), &self.config, now));
+            lane.current = Some(Transmission::new(message, target(to), now));
             return Ok(());
         }
-        let queue = if urgent { &mut lane.urgent } else { &mut lane.waiting };
+        let queue = match priority {
+            FrameLane::Usual => &mut lane.waiting,
+            FrameLane::Hello | FrameLane::Urgent => &mut lane.urgent,
+        };
         if queue.len() >= self.config.queue_messages {
             return Err(EnqueueError::Full { to });
         }
@@ -202,9 +180,8 @@ impl IsoTp {
 
     /// A frame came from the bus.
     pub fn handle_frame(&mut self, frame: &CanFrame, now: Instant) {
-        let parties = self.addressing.parties(frame.id()).filter(|_| !frame.is_remote());
         // Others are of other things on the bus: no fault at all.
-        let Some(AddressInfo { source, target }) = parties else { return };
+        let Some(AddressInfo { source, target }) = AddressInfo::of(frame.id()) else { return };
         if source == self.own {
             return self.outputs.push_back(IsoTpOutput::AddressTaken);
         }
@@ -213,16 +190,16 @@ impl IsoTp {
             return;
         }
         match Pdu::decode(frame.data()) {
-            Ok(Pdu::Flow(flow)) => self.handle_flow(source, to_all, flow, now),
-            Ok(pdu) => self.handle_content(source, to_all, pdu, now),
-            Err(_) => self.outputs.push_back(IsoTpOutput::Refused),
+            Some(Pdu::Flow(flow)) => self.handle_flow(source, to_all, flow, now),
+            Some(pdu) => self.handle_content(source, to_all, pdu, now),
+            None => self.outputs.push_back(IsoTpOutput::Refused),
         }
     }
 
     fn handle_flow(&mut self, source: BusAddress, to_all: bool, flow: FlowControl, now: Instant) {
         let lane = self.outgoing.get_mut(&source).filter(|_| !to_all);
         let current = lane.and_then(|lane| lane.current.as_mut());
-        let asked = current.is_some_and(|current| current.handle_flow(flow, &self.config, now));
+        let asked = current.is_some_and(|current| current.handle_flow(flow, now));
         if !asked {
             self.outputs.push_back(IsoTpOutput::Refused);
         }
@@ -266,9 +243,7 @@ impl IsoTp {
     fn poll_answer(&mut self, now: Instant) -> Option<CanFrame> {
         let (&(source, to_all), reception) =
             self.incoming.iter_mut().find(|(_, reception)| reception.is_ready())?;
-        let id = self.addressing.id(AddressInfo { source: self.own, target: source });
-        let id = id.expect("this node and the sender have addresses of this bus");
-        let writer = PduWriter { id, format: self.config.format };
+        let writer = writer(self.own, source, self.config.format);
         let context = ReceptionContext { config: &self.config, now };
         let frame = reception.poll_frame(&writer, context);
         if reception.is_idle() {
@@ -289,11 +264,9 @@ impl IsoTp {
 
     fn poll_message(&mut self, now: Instant) -> Option<CanFrame> {
         let to = self.turn()?;
-        let id = self.addressing.id(AddressInfo { source: self.own, target: to });
-        let id = id.expect("messages are taken for addresses of this bus only");
-        let writer = PduWriter { id, format: self.config.format };
+        let writer = writer(self.own, to, self.config.format);
         let current = self.outgoing.get_mut(&to)?.current.as_mut()?;
-        let frame = current.poll_frame(&writer, &self.config, now);
+        let frame = current.poll_frame(&writer, now);
         self.last = to;
         self.settle(to, now);
         frame
@@ -316,7 +289,7 @@ impl IsoTp {
         });
         match lane.urgent.pop_front().or_else(|| lane.waiting.pop_front()) {
             Some(message) => {
-                lane.current = Some(Transmission::new(message, target(to), &self.config, now));
+                lane.current = Some(Transmission::new(message, target(to), now));
             }
             None => drop(self.outgoing.remove(&to)),
         }
@@ -325,6 +298,11 @@ impl IsoTp {
     fn fail(&mut self, from: BusAddress, error: ReceptionError) {
         self.outputs.push_back(IsoTpOutput::NotReceived { from, error });
     }
+}
+
+fn writer(own: BusAddress, target: BusAddress, format: Format) -> PduWriter {
+    let id = AddressInfo { source: own, target }.id();
+    PduWriter { id: id.expect("this node has an address"), format }
 }
 
 fn target(to: BusAddress) -> TargetType {
@@ -353,7 +331,7 @@ impl Machine for IsoTp {
         for to in late {
             let current = self.outgoing.get_mut(&to).and_then(|lane| lane.current.as_mut());
             if let Some(current) = current {
-                current.handle_timeout(&self.config, now);
+                current.handle_timeout(now);
             }
             self.settle(to, now);
         }

@@ -67,8 +67,6 @@ pub enum FlowStatus {
     Wait,
     /// Never: the message is too long.
     Overflow,
-    /// The standard gives this number no meaning.
-    Unknown(u8),
 }
 
 /// STmin, the least time between two consecutive frames, as it is written in a byte.
@@ -100,89 +98,55 @@ impl SeparationTime {
     }
 }
 
-/// Why a frame says nothing in ISO 15765-2. It is ignored, as the standard demands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum PduError {
-    /// It ends before it has said what it began to say.
-    #[error("the frame is too short for what it begins")]
-    Truncated,
-    /// Its first four bits have no meaning.
-    #[error("frames of type {kind} have no meaning")]
-    Kind {
-        /// The frame's first four bits.
-        kind: u8,
-    },
-    /// Its length is not what the frame holds, or is written in the wrong way.
-    #[error("a length of {length} does not belong into a frame of {frame} bytes")]
-    Length {
-        /// The length that the frame declares, in bytes.
-        length: u32,
-        /// What the frame holds.
-        frame: usize,
-    },
-}
-
 impl<'a> Pdu<'a> {
-    /// Reads the data of a CAN frame.
-    ///
-    /// # Errors
-    /// [`PduError`] for anything that the standard does not let a node send.
-    pub fn decode(data: &'a [u8]) -> Result<Pdu<'a>, PduError> {
-        let (&first, rest) = data.split_first().ok_or(PduError::Truncated)?;
-        let (kind, low) = (first >> 4, first & 0x0f);
-        match kind {
+    /// Reads the data of a CAN frame; `None` for anything that the standard does not let a node
+    /// send. It is ignored, as the standard demands.
+    pub fn decode(data: &'a [u8]) -> Option<Pdu<'a>> {
+        let (&first, rest) = data.split_first()?;
+        let low = first & 0x0f;
+        match first >> 4 {
             SINGLE => Self::single(low, data),
             FIRST => Self::first(low, data),
-            CONSECUTIVE if rest.is_empty() => Err(PduError::Truncated),
-            CONSECUTIVE => Ok(Pdu::Consecutive { sequence: low, data: rest }),
+            CONSECUTIVE => {
+                (!rest.is_empty()).then_some(Pdu::Consecutive { sequence: low, data: rest })
+            }
             FLOW => {
-                let [block_size, separation, ..] = *rest else { return Err(PduError::Truncated) };
+                let [block_size, separation, ..] = *rest else { return None };
                 let status = match low {
                     0 => FlowStatus::Continue,
                     1 => FlowStatus::Wait,
                     2 => FlowStatus::Overflow,
-                    other => FlowStatus::Unknown(other),
+                    _ => return None,
                 };
                 let separation = SeparationTime(separation);
-                Ok(Pdu::Flow(FlowControl { status, block_size, separation }))
+                Some(Pdu::Flow(FlowControl { status, block_size, separation }))
             }
-            kind => Err(PduError::Kind { kind }),
+            _ => None,
         }
     }
 
-    fn single(low: u8, data: &'a [u8]) -> Result<Pdu<'a>, PduError> {
-        let frame = data.len();
+    fn single(low: u8, data: &'a [u8]) -> Option<Pdu<'a>> {
+        let is_short = data.len() <= CLASSIC_MAX;
         let (length, header) = match (low, data) {
-            (1..=7, _) if frame <= CLASSIC_MAX => (low, 1),
-            (0, [_, length @ 8..=u8::MAX, ..]) if frame > CLASSIC_MAX => (*length, 2),
-            _ => return Err(PduError::Length { length: low.into(), frame }),
+            (1..=7, _) if is_short => (low, 1),
+            (0, [_, length @ 8..=u8::MAX, ..]) if !is_short => (*length, 2),
+            _ => return None,
         };
-        let end = header + usize::from(length);
-        let data =
-            data.get(header..end).ok_or(PduError::Length { length: length.into(), frame })?;
-        Ok(Pdu::Single(data))
+        data.get(header..header + usize::from(length)).map(Pdu::Single)
     }
 
-    fn first(low: u8, data: &'a [u8]) -> Result<Pdu<'a>, PduError> {
-        let frame = data.len();
-        let &[_, second, a, b, c, d, ..] = data else { return Err(PduError::Truncated) };
-        if frame < CLASSIC_MAX {
-            return Err(PduError::Truncated);
-        }
+    fn first(low: u8, data: &'a [u8]) -> Option<Pdu<'a>> {
+        let &[_, second, a, b, c, d, _, _, ..] = data else { return None };
         let short = u32::from(low) << 8 | u32::from(second);
         if short != 0 {
             // Shorter messages fit into a single frame.
-            let least = if frame == CLASSIC_MAX { CLASSIC_MAX } else { frame - 1 };
-            if (short as usize) < least {
-                return Err(PduError::Length { length: short, frame });
-            }
-            return Ok(Pdu::First { length: short, data: &data[2..] });
+            let least = if data.len() == CLASSIC_MAX { CLASSIC_MAX } else { data.len() - 1 };
+            let fits = (short as usize) < least;
+            return (!fits).then_some(Pdu::First { length: short, data: &data[2..] });
         }
         let length = u32::from_be_bytes([a, b, c, d]);
-        if length as usize <= SHORT_LENGTH_MAX {
-            return Err(PduError::Length { length, frame });
-        }
-        Ok(Pdu::First { length, data: &data[6..] })
+        let is_long = length as usize > SHORT_LENGTH_MAX;
+        is_long.then_some(Pdu::First { length, data: &data[6..] })
     }
 }
 
@@ -238,7 +202,6 @@ impl PduWriter {
             FlowStatus::Continue => 0,
             FlowStatus::Wait => 1,
             FlowStatus::Overflow => 2,
-            FlowStatus::Unknown(other) => other & 0x0f,
         };
         self.frame(&[FLOW << 4 | status, flow.block_size, flow.separation.0], &[])
     }
@@ -296,44 +259,38 @@ mod tests {
             for length in 1..=writer.single_max() {
                 let message = vec![9; length];
                 let frame = writer.single(&message);
-                assert_eq!(Pdu::decode(frame.data()), Ok(Pdu::Single(&message)));
+                assert_eq!(Pdu::decode(frame.data()), Some(Pdu::Single(&message)));
             }
             for length in [writer.single_max() + 1, 4095, 4096, 70_000] {
                 let message = vec![9; length];
                 let (frame, taken) = writer.first(&message);
                 let (length, data) = (length as u32, &message[..taken]);
-                assert_eq!(Pdu::decode(frame.data()), Ok(Pdu::First { length, data }));
+                assert_eq!(Pdu::decode(frame.data()), Some(Pdu::First { length, data }));
             }
         }
     }
 
     #[test]
     fn what_the_standard_does_not_let_a_node_send_is_refused() {
-        let truncated = PduError::Truncated;
-        let length = |length, frame| PduError::Length { length, frame };
-        let check = |data: &[u8], expected| {
-            assert_eq!(Pdu::decode(data), Err(expected), "{data:02x?}");
-        };
-        check(b"", truncated);
-        check(b"\x00", length(0, 1));
-        check(b"\x08abcdefg", length(8, 8));
-        check(b"\x03ab", length(3, 3));
-        check(&[3; 12], length(3, 12)); // The short form in a long frame.
-        check(b"\x00\x07abcdefg...", length(0, 12)); // The long form of a short length.
-        check(b"\x00\x0babcdefghij", length(11, 12));
-        check(b"\x10\x14abcde", truncated);
-        check(b"\x10\x07abcdef", length(7, 8)); // It would have fitted into a single frame.
+        let check = |data: &[u8]| assert_eq!(Pdu::decode(data), None, "{data:02x?}");
+        check(b"");
+        check(b"\x00");
+        check(b"\x08abcdefg");
+        check(b"\x03ab");
+        check(&[3; 12]); // The short form in a long frame.
+        check(b"\x00\x07abcdefg..."); // The long form of a short length.
+        check(b"\x00\x0babcdefghij");
+        check(b"\x10\x14abcde");
+        check(b"\x10\x07abcdef"); // It would have fitted into a single frame.
         let mut first = [0; 64];
         first[..2].copy_from_slice(&[0x10, 62]);
-        check(&first, length(62, 64));
-        check(b"\x10\x00\x00\x00\x0f\xffab", length(4095, 8));
-        check(b"\x20", truncated);
-        check(b"\x30\x00", truncated);
-        check(b"\x40abc", PduError::Kind { kind: 4 });
-        check(b"\xffabc", PduError::Kind { kind: 15 });
-        let unknown = Pdu::decode(b"\x35\x00\x00");
-        let status = FlowStatus::Unknown(5);
-        assert!(matches!(unknown, Ok(Pdu::Flow(flow)) if flow.status == status), "{unknown:?}");
+        check(&first);
+        check(b"\x10\x00\x00\x00\x0f\xffab");
+        check(b"\x20");
+        check(b"\x30\x00");
+        check(b"\x40abc");
+        check(b"\xffabc");
+        check(b"\x35\x00\x00");
     }
 
     #[test]

@@ -7,7 +7,7 @@
 //!                     └──────────────────────────────┘
 //! ```
 
-use super::config::IsoTpConfig;
+use super::config::{IsoTpConfig, TIMEOUT};
 use super::pdu::{FlowControl, FlowStatus, PduWriter};
 use super::transmission::TargetType;
 use crate::Instant;
@@ -139,7 +139,7 @@ impl Reception {
         let whole = length as usize;
         if whole > config.message_max || !admitted {
             if self.target == TargetType::One {
-                self.state = State::Refusing { until: now + config.bus_timeout };
+                self.state = State::Refusing { until: now + TIMEOUT };
             }
             let long = whole > config.message_max;
             let error =
@@ -154,7 +154,7 @@ impl Reception {
         self.state = match self.target {
             TargetType::One => answer(partial, context),
             TargetType::All => {
-                let until = now + config.frame_timeout;
+                let until = now + TIMEOUT;
                 State::Receiving { partial, left_in_block: None, until }
             }
         };
@@ -168,7 +168,6 @@ impl Reception {
         data: &[u8],
         context: ReceptionContext<'_>,
     ) -> FrameResult {
-        let ReceptionContext { config, now } = context;
         let (mut partial, left_in_block) = match std::mem::replace(&mut self.state, State::Idle) {
             State::Receiving { partial, left_in_block, .. } => (partial, left_in_block),
             // No sender was told to go on. What is under way goes on when he is.
@@ -194,7 +193,7 @@ impl Reception {
         self.state = if left_in_block == Some(0) {
             answer(partial, context)
         } else {
-            State::Receiving { partial, left_in_block, until: now + config.frame_timeout }
+            State::Receiving { partial, left_in_block, until: context.now + TIMEOUT }
         };
         FrameResult::default()
     }
@@ -215,7 +214,7 @@ impl Reception {
             State::Refusing { .. } => (FlowStatus::Overflow, State::Idle),
             State::Answering { partial, .. } => {
                 let left_in_block = (config.block_size != 0).then_some(config.block_size);
-                let until = now + config.frame_timeout;
+                let until = now + TIMEOUT;
                 (FlowStatus::Continue, State::Receiving { partial, left_in_block, until })
             }
             other => {
@@ -257,7 +256,7 @@ impl Reception {
 }
 
 fn answer(partial: Partial, context: ReceptionContext<'_>) -> State {
-    State::Answering { partial, until: context.now + context.config.bus_timeout }
+    State::Answering { partial, until: context.now + TIMEOUT }
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ fn at(millis: u64) -> Instant {
 }
 
 fn node(address: u8, config: IsoTpConfig) -> IsoTp {
-    IsoTp::new(BusAddress(address), Addressing::default(), config).unwrap()
+    IsoTp::new(BusAddress(address), config).unwrap()
 }
 
 fn message(length: usize, seed: u8) -> Bytes {
@@ -101,7 +101,12 @@ fn messages_of_every_length_arrive_over_both_formats_and_all_block_sizes() {
             let mut bus = Bus::new(vec![node(1, config), node(2, config)]);
             let lengths = [1, 6, 7, 8, 9, 13, 14, 61, 62, 63, 64, 125, 126, 1000, 4095, 4096, 5000];
             for length in lengths {
-                let taken = bus.nodes[0].handle_message(BusAddress(2), message(length, 3), bus.now);
+                let taken = bus.nodes[0].handle_message(
+                    BusAddress(2),
+                    message(length, 3),
+                    FrameLane::Usual,
+                    bus.now,
+                );
                 assert_eq!(taken, Ok(()));
             }
 
@@ -121,7 +126,12 @@ fn messages_of_every_length_arrive_over_both_formats_and_all_block_sizes() {
 fn nodes_of_both_formats_understand_each_other() {
     let mut bus = Bus::new(vec![node(1, large(FD)), node(2, large(Format::Classic))]);
     for (own, other) in [(0, 2), (1, 1)] {
-        let taken = bus.nodes[own].handle_message(BusAddress(other), message(500, other), bus.now);
+        let taken = bus.nodes[own].handle_message(
+            BusAddress(other),
+            message(500, other),
+            FrameLane::Usual,
+            bus.now,
+        );
         assert_eq!(taken, Ok(()));
     }
 
@@ -133,32 +143,31 @@ fn nodes_of_both_formats_understand_each_other() {
 
 #[test]
 fn every_node_can_speak_to_every_other_at_one_time_and_to_all() {
-    for addressing in [Addressing::default(), Addressing::Standard] {
-        let new = |own| IsoTp::new(BusAddress(own), addressing, large(Format::Classic)).unwrap();
-        let mut bus = Bus::new((0..8).map(new).collect());
-        let targets = || (0..8).map(BusAddress).chain([BusAddress::ALL]);
-        for own in 0..8_u8 {
-            for to in targets().filter(|to| *to != BusAddress(own)) {
-                let message = message(100 + usize::from(to.0), own);
-                let taken = bus.nodes[usize::from(own)].handle_message(to, message, bus.now);
-                assert_eq!(taken, Ok(()));
-            }
+    let new = |own| node(own, large(Format::Classic));
+    let mut bus = Bus::new((0..8).map(new).collect());
+    let targets = || (0..8).map(BusAddress).chain([BusAddress::ALL]);
+    for own in 0..8_u8 {
+        for to in targets().filter(|to| *to != BusAddress(own)) {
+            let message = message(100 + usize::from(to.0), own);
+            let taken =
+                bus.nodes[usize::from(own)].handle_message(to, message, FrameLane::Usual, bus.now);
+            assert_eq!(taken, Ok(()));
         }
+    }
 
-        bus.run();
+    bus.run();
 
-        for own in 0..8_u8 {
-            let mut received = bus.received(own.into());
-            received.sort();
-            let mut expected: Vec<_> = (0..8)
-                .filter(|from| *from != own)
-                .flat_map(|from| {
-                    [own, 255].map(|to| (BusAddress(from), message(100 + usize::from(to), from)))
-                })
-                .collect();
-            expected.sort();
-            assert!(received == expected, "{own} got {:?}", shape(&received));
-        }
+    for own in 0..8_u8 {
+        let mut received = bus.received(own.into());
+        received.sort();
+        let mut expected: Vec<_> = (0..8)
+            .filter(|from| *from != own)
+            .flat_map(|from| {
+                [own, 255].map(|to| (BusAddress(from), message(100 + usize::from(to), from)))
+            })
+            .collect();
+        expected.sort();
+        assert!(received == expected, "{own} got {:?}", shape(&received));
     }
 }
 
@@ -168,7 +177,8 @@ fn a_target_that_is_not_there_loses_what_waits_and_nobody_else_does() {
     for to in [9, 2] {
         for seed in 0..5 {
             let message = message(50, seed);
-            let taken = bus.nodes[0].handle_message(BusAddress(to), message, bus.now);
+            let taken =
+                bus.nodes[0].handle_message(BusAddress(to), message, FrameLane::Usual, bus.now);
             assert_eq!(taken, Ok(()));
         }
     }
@@ -184,8 +194,8 @@ fn a_target_that_is_not_there_loses_what_waits_and_nobody_else_does() {
 #[test]
 fn a_bus_that_takes_no_frames_is_noticed() {
     let mut node = node(1, IsoTpConfig::default());
-    assert_eq!(node.handle_message(BusAddress(2), message(3, 0), at(1)), Ok(()));
-    assert_eq!(node.handle_message(BusAddress(2), message(3, 0), at(1)), Ok(()));
+    assert_eq!(node.handle_message(BusAddress(2), message(3, 0), FrameLane::Usual, at(1)), Ok(()));
+    assert_eq!(node.handle_message(BusAddress(2), message(3, 0), FrameLane::Usual, at(1)), Ok(()));
 
     assert_eq!(node.poll_timeout(), Some(at(1001)));
     node.handle_timeout(at(1001));
@@ -199,9 +209,12 @@ fn a_bus_that_takes_no_frames_is_noticed() {
 fn what_cannot_be_sent_is_refused_with_the_reason() {
     let mut node = node(1, IsoTpConfig { queue_messages: 2, ..IsoTpConfig::default() });
     let mut check = |to, length, expected| {
-        assert_eq!(node.handle_message(BusAddress(to), message(length, 0), at(1)), expected);
+        assert_eq!(
+            node.handle_message(BusAddress(to), message(length, 0), FrameLane::Usual, at(1)),
+            expected
+        );
     };
-    check(1, 5, Err(EnqueueError::NoSuchAddress { to: BusAddress(1) }));
+    check(1, 5, Err(EnqueueError::Ourselves { to: BusAddress(1) }));
     check(2, 0, Err(EnqueueError::Length { length: 0, limit: 1024 }));
     check(2, 1025, Err(EnqueueError::Length { length: 1025, limit: 1024 }));
     check(2, 1024, Ok(())); // Under way.
@@ -209,7 +222,7 @@ fn what_cannot_be_sent_is_refused_with_the_reason() {
     check(2, 1024, Ok(()));
     check(2, 1024, Err(EnqueueError::Full { to: BusAddress(2) }));
     check(3, 1024, Ok(()));
-    assert!(IsoTp::new(BusAddress::ALL, Addressing::default(), IsoTpConfig::default()).is_none());
+    assert!(IsoTp::new(BusAddress::ALL, IsoTpConfig::default()).is_none());
 }
 
 #[test]
@@ -217,7 +230,7 @@ fn what_comes_in_wrong_is_told_by_its_kind_and_harms_nothing() {
     let mut node = node(1, IsoTpConfig { receptions_max: 1, ..IsoTpConfig::default() });
     let mut hear = |from: u8, to: u8, data: &[u8]| {
         let parties = AddressInfo { source: BusAddress(from), target: BusAddress(to) };
-        let id = Addressing::default().id(parties).unwrap();
+        let id = parties.id().unwrap();
         node.handle_frame(&CanFrame::new(id, Format::Classic, data).unwrap(), at(1));
         std::iter::from_fn(|| node.poll_output()).collect::<Vec<_>>()
     };
@@ -236,8 +249,6 @@ fn what_comes_in_wrong_is_told_by_its_kind_and_harms_nothing() {
     assert_eq!(hear(2, 1, b"\x10\x10abcdef"), [many]);
     let foreign = CanFrame::new(CanId::standard(1).unwrap(), Format::Classic, b"\x01a").unwrap();
     node.handle_frame(&foreign, at(1));
-    let id = Addressing::default().id(AddressInfo { source: from, target: BusAddress(1) }).unwrap();
-    node.handle_frame(&CanFrame::remote(id, 2).unwrap(), at(1));
     assert_eq!(node.poll_output(), None, "other things on the bus are no fault");
 }
 
@@ -247,10 +258,13 @@ fn an_urgent_message_goes_before_those_that_wait_for_the_same_target() {
     let mut bus = Bus::new(vec![node(1, config), node(2, config)]);
     let to = BusAddress(2);
     for length in [100, 200, 300] {
-        assert_eq!(bus.nodes[0].handle_message(to, message(length, 0), bus.now), Ok(()));
+        assert_eq!(
+            bus.nodes[0].handle_message(to, message(length, 0), FrameLane::Usual, bus.now),
+            Ok(())
+        );
     }
 
-    assert_eq!(bus.nodes[0].handle_urgent(to, message(50, 0), bus.now), Ok(()));
+    assert_eq!(bus.nodes[0].handle_message(to, message(50, 0), FrameLane::Urgent, bus.now), Ok(()));
     bus.run();
 
     let lengths: Vec<_> = bus.received(1).iter().map(|(_, message)| message.len()).collect();
@@ -262,8 +276,14 @@ fn frames_of_long_messages_take_turns() {
     let config = large(Format::Classic);
     let mut bus = Bus::new(vec![node(1, config), node(2, config), node(3, config)]);
     // The short message is not kept waiting by the long one.
-    assert_eq!(bus.nodes[0].handle_message(BusAddress(2), message(5000, 0), bus.now), Ok(()));
-    assert_eq!(bus.nodes[0].handle_message(BusAddress(3), message(50, 0), bus.now), Ok(()));
+    assert_eq!(
+        bus.nodes[0].handle_message(BusAddress(2), message(5000, 0), FrameLane::Usual, bus.now),
+        Ok(())
+    );
+    assert_eq!(
+        bus.nodes[0].handle_message(BusAddress(3), message(50, 0), FrameLane::Usual, bus.now),
+        Ok(())
+    );
 
     bus.run();
 
@@ -299,7 +319,7 @@ proptest! {
         for (number, length) in lengths.iter().enumerate() {
             let (here, there) = (number % 2, BusAddress(2 - number as u8 % 2));
             let message = message(*length, number as u8);
-            prop_assert_eq!(bus.nodes[here].handle_message(there, message, bus.now), Ok(()));
+            prop_assert_eq!(bus.nodes[here].handle_message(there, message, FrameLane::Usual, bus.now), Ok(()));
         }
 
         bus.run();
@@ -333,10 +353,10 @@ proptest! {
         for (from, data, wait) in script {
             now = now + Duration::from_millis(wait);
             node.handle_timeout(now);
-            let _ = node.handle_message(BusAddress(2), message(100, 0), now);
+            let _ = node.handle_message(BusAddress(2), message(100, 0), FrameLane::Usual, now);
             let to = if from == 5 { BusAddress::ALL } else { BusAddress(1) };
             let parties = AddressInfo { source: BusAddress(from), target: to };
-            let id = Addressing::default().id(parties).unwrap();
+            let id = parties.id().unwrap();
             if let Some(frame) = CanFrame::new(id, Format::Classic, &data) {
                 node.handle_frame(&frame, now);
             }

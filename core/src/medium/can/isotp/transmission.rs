@@ -9,12 +9,18 @@
 //!                                     "wait" ◄─────┘
 //! ```
 
-use super::config::IsoTpConfig;
+use super::config::{IsoTpConfig, TIMEOUT};
 use super::pdu::{FlowControl, FlowStatus, PduWriter, SeparationTime};
 use crate::Instant;
 use crate::medium::can::CanFrame;
 use bytes::Bytes;
 use std::time::Duration;
+
+/// The least time between frames to all nodes, which do not say how fast they are: more than a
+/// classic frame takes on a bus of 250 kbit/s, so that no receiver's buffer overflows.
+const SEPARATION_TO_ALL: Duration = Duration::from_micros(500);
+/// How often in a row a receiver may let us wait (N_WFTmax): no sender waits for ever.
+const WAITS_MAX: u8 = 10;
 
 /// Why a message did not go out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -29,9 +35,6 @@ pub enum TransmissionError {
     /// The receiver has told us to wait too often.
     #[error("the receiver tells us to wait for ever")]
     WaitedTooLong,
-    /// The receiver says what the standard does not know.
-    #[error("the receiver answers with a flow status that does not exist")]
-    UnknownStatus,
     /// The bus took no frame for too long: no other node is on it, or it is off.
     #[error("the bus takes no frames")]
     BusStuck,
@@ -72,20 +75,15 @@ enum State {
 }
 
 impl Transmission {
-    pub(super) fn new(
-        message: Bytes,
-        target: TargetType,
-        config: &IsoTpConfig,
-        now: Instant,
-    ) -> Self {
+    pub(super) fn new(message: Bytes, target: TargetType, now: Instant) -> Self {
         Transmission {
             message,
             sent: 0,
             sequence: 0,
             target,
             left_in_block: None,
-            separation: config.separation_to_all,
-            state: State::Ready { until: now + config.bus_timeout },
+            separation: SEPARATION_TO_ALL,
+            state: State::Ready { until: now + TIMEOUT },
         }
     }
 
@@ -98,27 +96,19 @@ impl Transmission {
     }
 
     /// The receiver says how to go on. The answer is whether it was asked.
-    pub(super) fn handle_flow(
-        &mut self,
-        flow: FlowControl,
-        config: &IsoTpConfig,
-        now: Instant,
-    ) -> bool {
+    pub(super) fn handle_flow(&mut self, flow: FlowControl, now: Instant) -> bool {
         let State::Asking { waits, .. } = self.state else { return false };
         self.state = match flow.status {
             FlowStatus::Continue => {
                 self.left_in_block = (flow.block_size != 0).then_some(flow.block_size);
                 self.separation = flow.separation.span();
-                State::Ready { until: now + config.bus_timeout }
+                State::Ready { until: now + TIMEOUT }
             }
-            FlowStatus::Wait if waits >= config.waits_max => {
+            FlowStatus::Wait if waits >= WAITS_MAX => {
                 State::Ended(Err(TransmissionError::WaitedTooLong))
             }
-            FlowStatus::Wait => {
-                State::Asking { until: now + config.flow_timeout, waits: waits + 1 }
-            }
+            FlowStatus::Wait => State::Asking { until: now + TIMEOUT, waits: waits + 1 },
             FlowStatus::Overflow => State::Ended(Err(TransmissionError::Overflow)),
-            FlowStatus::Unknown(_) => State::Ended(Err(TransmissionError::UnknownStatus)),
         };
         true
     }
@@ -129,12 +119,7 @@ impl Transmission {
     }
 
     /// The next frame, if one is to go out now. It counts as sent.
-    pub(super) fn poll_frame(
-        &mut self,
-        writer: &PduWriter,
-        config: &IsoTpConfig,
-        now: Instant,
-    ) -> Option<CanFrame> {
+    pub(super) fn poll_frame(&mut self, writer: &PduWriter, now: Instant) -> Option<CanFrame> {
         if !self.is_ready() {
             return None;
         }
@@ -156,9 +141,9 @@ impl Transmission {
         self.state = if self.sent == self.message.len() {
             State::Ended(Ok(()))
         } else if asks {
-            State::Asking { until: now + config.flow_timeout, waits: 0 }
+            State::Asking { until: now + TIMEOUT, waits: 0 }
         } else if self.separation.is_zero() {
-            State::Ready { until: now + config.bus_timeout }
+            State::Ready { until: now + TIMEOUT }
         } else {
             State::Paced { at: now + self.separation }
         };
@@ -173,7 +158,7 @@ impl Transmission {
         }
     }
 
-    pub(super) fn handle_timeout(&mut self, config: &IsoTpConfig, now: Instant) {
+    pub(super) fn handle_timeout(&mut self, now: Instant) {
         match self.state {
             State::Ready { until } if until <= now => {
                 self.state = State::Ended(Err(TransmissionError::BusStuck));
@@ -182,7 +167,7 @@ impl Transmission {
                 self.state = State::Ended(Err(TransmissionError::Unanswered));
             }
             State::Paced { at } if at <= now => {
-                self.state = State::Ready { until: now + config.bus_timeout };
+                self.state = State::Ready { until: now + TIMEOUT };
             }
             _ => {}
         }

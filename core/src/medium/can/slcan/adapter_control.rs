@@ -265,7 +265,7 @@ mod tests {
         let open_refused = State::Failed(AdapterError::Open);
         let expected = [close, pause, set, rate_refused, join, open_refused, open, failed];
         check(|control| control.handle_reply(&AdapterReply::Refused), expected);
-        let frame = CanFrame::remote(CanId::standard(1).unwrap(), 0).unwrap();
+        let frame = CanFrame::new(CanId::standard(1).unwrap(), Format::Classic, b"").unwrap();
         for reply in [AdapterReply::Frame(frame), AdapterReply::Answer] {
             check(|control| control.handle_reply(&reply), before());
         }

@@ -7,7 +7,7 @@
 //!   C⏎      close                      z⏎   a short frame is sent (some: Z⏎ a long one)
 //!
 //! frames, both ways, in hexadecimal:
-//!   t iii l dd…⏎        11 bits, l = 0 to 8 bytes          r iii l⏎  a request for them
+//!   t iii l dd…⏎        11 bits, l = 0 to 8 bytes          r iii l⏎  a request, not used here
 //!   T iiiiiiii l dd…⏎   29 bits                            R iiiiiiii l⏎
 //!   d, D                CAN FD, l = 0 to F as on the bus
 //!   b, B                CAN FD with its data at the faster rate
@@ -93,25 +93,9 @@ pub enum AdapterReply {
     Sent,
     /// The last command, or frame, is refused.
     Refused,
-    /// An answer to a question, which this node does not ask: `V1013`, `NA123`, `F00`.
+    /// Nothing for this node: an answer to a question that it does not ask (`V1013`, `NA123`,
+    /// `F00`), or the request for a frame.
     Answer,
-}
-
-/// Why a line says nothing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum ReplyError {
-    /// No command or answer begins so.
-    #[error("a line of SLCAN does not begin with {first:#04x}")]
-    Kind {
-        /// The first byte.
-        first: u8,
-    },
-    /// It ends too early, or goes on where it should end.
-    #[error("the line is not as long as what it says")]
-    Length,
-    /// There is a sign in it that is no hexadecimal digit, or a number that is too large.
-    #[error("the line has a number that is none")]
-    Number,
 }
 
 impl AdapterCommand {
@@ -128,32 +112,20 @@ impl AdapterCommand {
         line.push(END);
     }
 
-    /// Reads a line without its end, as an adapter does.
-    ///
-    /// # Errors
-    /// [`ReplyError`] for what adapters of this kind do not know.
-    pub fn decode(line: &[u8]) -> Result<AdapterCommand, ReplyError> {
-        let (&first, rest) = line.split_first().ok_or(ReplyError::Length)?;
-        let none = |command| if rest.is_empty() { Ok(command) } else { Err(ReplyError::Length) };
-        match first {
-            b'C' => none(AdapterCommand::Close),
-            b'O' => none(AdapterCommand::Open),
-            b'S' => match rest {
-                [number @ b'0'..=b'8'] => Ok(AdapterCommand::BitRate(BitRate(number - b'0'))),
-                [_] => Err(ReplyError::Number),
-                _ => Err(ReplyError::Length),
-            },
-            b'Y' => match rest {
-                b"2" => Ok(AdapterCommand::DataRate(DataRate::TwoMegabit)),
-                b"5" => Ok(AdapterCommand::DataRate(DataRate::FiveMegabit)),
-                [_] => Err(ReplyError::Number),
-                _ => Err(ReplyError::Length),
-            },
+    /// Reads a line without its end, as an adapter does; `None` for what adapters of this kind do
+    /// not know.
+    pub fn decode(line: &[u8]) -> Option<AdapterCommand> {
+        Some(match line {
+            b"C" => AdapterCommand::Close,
+            b"O" => AdapterCommand::Open,
+            [b'S', number @ b'0'..=b'8'] => AdapterCommand::BitRate(BitRate(number - b'0')),
+            b"Y2" => AdapterCommand::DataRate(DataRate::TwoMegabit),
+            b"Y5" => AdapterCommand::DataRate(DataRate::FiveMegabit),
             _ => match read_frame(line)? {
-                (frame, []) => Ok(AdapterCommand::Send(frame)),
-                _ => Err(ReplyError::Length),
+                (frame, []) => AdapterCommand::Send(frame),
+                _ => return None,
             },
-        }
+        })
     }
 }
 
@@ -170,26 +142,20 @@ impl AdapterReply {
         line.push(END);
     }
 
-    /// Reads a line that ended well, without its end.
-    ///
-    /// # Errors
-    /// [`ReplyError`] for what no adapter says.
-    pub fn decode(line: &[u8]) -> Result<AdapterReply, ReplyError> {
+    /// Reads a line that ended well, without its end; `None` for what no adapter says.
+    pub fn decode(line: &[u8]) -> Option<AdapterReply> {
         match line {
-            [] => Ok(AdapterReply::Done),
-            b"z" | b"Z" => Ok(AdapterReply::Sent),
-            [b'V' | b'v' | b'N' | b'F', rest @ ..] if rest.iter().all(u8::is_ascii_graphic) => {
-                Ok(AdapterReply::Answer)
+            [] => Some(AdapterReply::Done),
+            b"z" | b"Z" => Some(AdapterReply::Sent),
+            [b'V' | b'v' | b'N' | b'F' | b'r' | b'R', rest @ ..]
+                if rest.iter().all(u8::is_ascii_graphic) =>
+            {
+                Some(AdapterReply::Answer)
             }
             _ => {
-                let (frame, rest) = read_frame(line)?;
-                match rest {
-                    [] => {}
-                    digits if digits.len() != 4 => return Err(ReplyError::Length),
-                    digits if read_hex(digits)? >= MINUTE => return Err(ReplyError::Number),
-                    _ => {}
-                }
-                Ok(AdapterReply::Frame(frame))
+                let (frame, time) = read_frame(line)?;
+                let is_time = time.len() == 4 && read_hex(time)? < MINUTE;
+                (time.is_empty() || is_time).then_some(AdapterReply::Frame(frame))
             }
         }
     }
@@ -261,7 +227,7 @@ impl ReplyParser {
         match self.lines.handle_byte(byte)? {
             LineEnd::Refusal => Some(AdapterReply::Refused),
             LineEnd::Whole(line) => {
-                let reply = AdapterReply::decode(&line).ok();
+                let reply = AdapterReply::decode(&line);
                 self.refused += u64::from(reply.is_none());
                 reply
             }
@@ -275,11 +241,10 @@ impl ReplyParser {
 }
 
 fn put_frame(frame: &CanFrame, line: &mut Vec<u8>) {
-    let kind = match (frame.format(), frame.is_remote()) {
-        (Format::Classic, false) => b't',
-        (Format::Classic, true) => b'r',
-        (Format::Fd { fast: false }, _) => b'd',
-        (Format::Fd { fast: true }, _) => b'b',
+    let kind = match frame.format() {
+        Format::Classic => b't',
+        Format::Fd { fast: false } => b'd',
+        Format::Fd { fast: true } => b'b',
     };
     if frame.id().is_extended() {
         line.push(kind.to_ascii_uppercase());
@@ -295,48 +260,35 @@ fn put_frame(frame: &CanFrame, line: &mut Vec<u8>) {
 }
 
 /// Reads a frame; what follows it is handed back.
-fn read_frame(line: &[u8]) -> Result<(CanFrame, &[u8]), ReplyError> {
-    let (&first, rest) = line.split_first().ok_or(ReplyError::Length)?;
-    let (format, remote) = match first.to_ascii_lowercase() {
-        b't' => (Format::Classic, false),
-        b'r' => (Format::Classic, true),
-        b'd' => (Format::Fd { fast: false }, false),
-        b'b' => (Format::Fd { fast: true }, false),
-        _ => return Err(ReplyError::Kind { first }),
+fn read_frame(line: &[u8]) -> Option<(CanFrame, &[u8])> {
+    let (&first, rest) = line.split_first()?;
+    let format = match first.to_ascii_lowercase() {
+        b't' => Format::Classic,
+        b'd' => Format::Fd { fast: false },
+        b'b' => Format::Fd { fast: true },
+        _ => return None,
     };
     let extended = first.is_ascii_uppercase();
-    let (number, rest) = split(rest, if extended { 8 } else { 3 })?;
+    let (number, rest) = rest.split_at_checked(if extended { 8 } else { 3 })?;
     let number = read_hex(number)?;
-    let id = if extended { CanId::extended(number) } else { CanId::standard(number) };
-    let id = id.ok_or(ReplyError::Number)?;
-    let (code, rest) = split(rest, 1)?;
+    let id = if extended { CanId::extended(number) } else { CanId::standard(number) }?;
+    let (code, rest) = rest.split_at_checked(1)?;
     let code = read_hex(code)? as usize;
     let length = match code.checked_sub(9) {
         None => code,
-        Some(at) => *FD_LENGTHS.get(at).ok_or(ReplyError::Number)?,
+        Some(at) => *FD_LENGTHS.get(at)?,
     };
-    if remote {
-        return Ok((CanFrame::remote(id, length).ok_or(ReplyError::Number)?, rest));
-    }
-    let (digits, rest) = split(rest, 2 * length)?;
+    let (digits, rest) = rest.split_at_checked(2 * length)?;
     let mut bytes = [0; FD_MAX];
     for (byte, digits) in bytes.iter_mut().zip(digits.chunks(2)) {
         *byte = read_hex(digits)? as u8;
     }
-    let frame = CanFrame::new(id, format, &bytes[..length]).ok_or(ReplyError::Number)?;
-    Ok((frame, rest))
-}
-
-fn split(bytes: &[u8], at: usize) -> Result<(&[u8], &[u8]), ReplyError> {
-    bytes.split_at_checked(at).ok_or(ReplyError::Length)
+    Some((CanFrame::new(id, format, &bytes[..length])?, rest))
 }
 
 /// At most eight digits.
-fn read_hex(digits: &[u8]) -> Result<u32, ReplyError> {
-    digits.iter().try_fold(0, |number, digit| {
-        let digit = char::from(*digit).to_digit(16).ok_or(ReplyError::Number)?;
-        Ok(number << 4 | digit)
-    })
+fn read_hex(digits: &[u8]) -> Option<u32> {
+    digits.iter().try_fold(0, |number, digit| Some(number << 4 | char::from(*digit).to_digit(16)?))
 }
 
 fn put_hex(number: u32, digits: u32, line: &mut Vec<u8>) {

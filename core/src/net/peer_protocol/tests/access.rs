@@ -256,7 +256,7 @@ fn another_policy_counts_at_once_for_who_publishes() {
 fn a_number_in_use_stands_for_what_it_stood_for_first() {
     let mut pair = guarded(Role::Node, &["only other may ask tell on right/arm"]);
     let left = pair.ids[0];
-    let identity: Bytes = count().full().encode().into();
+    let identity = count().full().encode();
     for object in ["leg", "arm", "leg"] {
         let object = ObjectName::new(object).expect("a name");
         let bind = PeerMessage::Bind { binding: 5, object, identity: identity.clone() };
@@ -366,7 +366,7 @@ fn the_component_of_a_service_is_no_way_around_the_rights_at_the_service() {
 fn what_a_peer_has_asked_for_stays_bounded_however_it_asks() {
     let mut pair = guarded(Role::Node, &[]);
     let left = pair.ids[0];
-    let identity: Bytes = count().full().encode().into();
+    let identity = count().full().encode();
     for number in 0..2 * BINDINGS_MAX as u32 {
         // What is refused by the object, and ended subscriptions that never were, make no room.
         let bind = PeerMessage::Bind { binding: number, object: arm(), identity: identity.clone() };

@@ -20,7 +20,7 @@ fn poll(reception: &mut Reception) -> Option<FlowStatus> {
     let mut sent = None;
     with(|cx| {
         sent = reception.poll_frame(&writer, cx).map(|frame| match Pdu::decode(frame.data()) {
-            Ok(Pdu::Flow(flow)) => flow.status,
+            Some(Pdu::Flow(flow)) => flow.status,
             other => panic!("{other:?} is no word on how to go on"),
         });
     });
