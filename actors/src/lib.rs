@@ -248,7 +248,8 @@ pub use node::{
 pub use crate::fault_chain::strategy::{RecoveryStrategy, StrategyContext};
 pub use blastema_contract::detector::FaultEvent;
 pub use blastema_core::detection::{
-    CheckFailed, FaultRecord, FaultStatus, FaultTransition, MonitorRow, Opinion, Range, Rate,
+    CheckFailed, FaultRecord, FaultStatus, FaultTransition, Freshness, Invariant, MonitorRow,
+    Opinion, Range, Rate,
 };
 pub use blastema_core::{Fault, FaultId, FaultKind, FaultLocation, Instant, Lifecycle, Severity};
 
@@ -274,8 +275,8 @@ pub mod recovery {
 pub mod detection {
     pub use blastema_core::detection::{
         CheckFailed, CurrentHandler, FaultEntry, FaultRecord, FaultStatus, FaultTransition,
-        Liveness, MonitorRow, ObjectKind, Opinion, Pull, Push, QueueSample, Range, Rate,
-        RegistrationError, RoundLateness,
+        Freshness, Invariant, Liveness, MonitorRow, ObjectKind, Opinion, Pull, Push, QueueSample,
+        Range, Rate, RegistrationError, RoundLateness,
     };
 }
 

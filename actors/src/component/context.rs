@@ -98,7 +98,7 @@ impl<C: Component> Context<C> {
     /// message was sent, to the precision of 10 ms unless its contract has a `max_age`. `None`
     /// before the first message.
     ///
-    /// Judge freshness and [rates](crate::Rate) by it, so that neither the way
+    /// Judge [freshness](crate::Freshness) and [rates](crate::Rate) by it, so that neither the way
     /// nor the queue of a message counts as a change of what it tells.
     pub fn captured_at(&self) -> Option<Instant> {
         self.state.captured_at.get()

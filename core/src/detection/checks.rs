@@ -6,6 +6,7 @@
 use crate::Instant;
 use std::fmt;
 use std::ops::RangeInclusive;
+use std::time::Duration;
 
 /// A check failed: what, its value, and the limit that it broke.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -112,6 +113,86 @@ impl Rate {
     }
 }
 
+/// Data must not be older than so much when it is used.
+///
+/// ```
+/// use blastema_core::Instant;
+/// use blastema_core::detection::Freshness;
+/// use std::time::Duration;
+///
+/// let scan = Freshness::new("the last scan", Duration::from_millis(100));
+/// let taken = Instant::from_millis(1000);
+/// assert!(scan.check(taken, Instant::from_millis(1080)).is_ok());
+/// let wrong = scan.check(taken, Instant::from_millis(1250)).unwrap_err();
+/// assert_eq!(wrong.to_string(), "the last scan is 250ms old, and should be at most 100ms old");
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Freshness {
+    what: &'static str,
+    max_age: Duration,
+}
+
+impl Freshness {
+    /// A check that `what` is not older than `max_age`.
+    pub const fn new(what: &'static str, max_age: Duration) -> Self {
+        Freshness { what, max_age }
+    }
+
+    /// Checks data that was taken at `taken`, and answers its age.
+    ///
+    /// # Errors
+    /// It is too old.
+    pub fn check(&self, taken: Instant, now: Instant) -> Result<Duration, CheckFailed> {
+        let age = now - taken;
+        if age <= self.max_age {
+            return Ok(age);
+        }
+        let expected = format!("at most {:?} old", self.max_age);
+        Err(CheckFailed { what: self.what, found: format!("{age:?} old"), expected })
+    }
+}
+
+/// A condition that must always hold between values.
+///
+/// ```
+/// use blastema_core::detection::Invariant;
+///
+/// let balance = Invariant::new("wheel speeds", "of one sign while driving", |(left, right): &(f64, f64)| {
+///     left * right >= 0.0
+/// });
+/// assert!(balance.check(&(0.4, 0.5)).is_ok());
+/// let wrong = balance.check(&(0.4, -0.5)).unwrap_err();
+/// assert_eq!(
+///     wrong.to_string(),
+///     "wheel speeds is (0.4, -0.5), and should be of one sign while driving"
+/// );
+/// ```
+#[derive(Clone, Copy, Debug)]
+pub struct Invariant<T> {
+    what: &'static str,
+    expected: &'static str,
+    holds: fn(&T) -> bool,
+}
+
+impl<T: fmt::Debug> Invariant<T> {
+    /// A check that `holds` is true of `what`; `expected` says in words what that means.
+    pub const fn new(what: &'static str, expected: &'static str, holds: fn(&T) -> bool) -> Self {
+        Invariant { what, expected, holds }
+    }
+
+    /// Checks one value.
+    ///
+    /// # Errors
+    /// It does not hold.
+    pub fn check(&self, value: &T) -> Result<(), CheckFailed> {
+        if (self.holds)(value) {
+            return Ok(());
+        }
+        let (found, expected) = (format!("{value:?}"), self.expected.into());
+        Err(CheckFailed { what: self.what, found, expected })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -147,5 +228,13 @@ mod tests {
 
         let wrong = height.check(2.0, now).unwrap_err();
         assert_eq!(wrong.found, "changing by 1 at once");
+    }
+
+    #[test]
+    fn data_of_exactly_the_greatest_age_is_still_fresh() {
+        let scan = Freshness::new("scan", Duration::from_millis(10));
+
+        assert!(scan.check(Instant::from_millis(0), Instant::from_millis(10)).is_ok());
+        assert!(scan.check(Instant::from_millis(0), Instant::from_nanos(10_000_001)).is_err());
     }
 }

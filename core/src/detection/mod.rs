@@ -43,7 +43,7 @@ pub mod dependencies;
 pub mod hang;
 
 pub use chain::{DetectionChain, DetectionOutput};
-pub use checks::{CheckFailed, Range, Rate};
+pub use checks::{CheckFailed, Freshness, Invariant, Range, Rate};
 pub use confirmed_queue::{ConfirmedQueue, ConfirmedQueueLimits, ConfirmedQueueOutput};
 pub use detector::{Detector, DetectorOutput, FAULTS_ON_RECORD};
 pub use fault_log::FaultLog;
