@@ -14,7 +14,9 @@ use crate::description::{
 use crate::finding::{ElementPart, ElementPlaces, FilePlace, RobotFinding, RobotSources};
 use crate::types::{Types, end_of};
 use crate::value::{ValueError, fault_word, hint};
+use blastema::core::detection::dependencies::circle;
 use blastema::core::port::{ConnectionRole, PortAddress, resolve};
+use blastema::core::sorted::SortedMap;
 use blastema::prelude::*;
 use blastema::recovery::PlanError;
 use blastema::trees::{BehaviorTree, TreeErrors, byte_at};
@@ -170,6 +172,17 @@ impl<'a> RobotChecker<'a> {
         node.root.visit(&mut |child| objects.push(child.identity()));
         self.names("object", &format!("node {}", node.name), objects.iter().copied());
         self.answers(&node.plan);
+        let parent = node.process_of.as_deref().and_then(|of| self.robot.node(of));
+        if let (Some(of_parent), Some(key)) =
+            (parent.and_then(|parent| self.robot.keys_of(parent)), &node.keys)
+            && of_parent.exists()
+            && !key.exists()
+        {
+            let name = &node.name;
+            let sentence = format!("there is no {name}.key beside the key of its node");
+            let help = format!("make it by `blastema keys add {name}`, and copy it there");
+            self.find("robot::keys", sentence, (node.origin, "name"), help, "without a key");
+        }
         if node.may_be_away && node.endpoints.is_empty() {
             let sentence = format!("node {} may be away, and is on no network", node.name);
             let help = "give it an `endpoint`, or delete `may-be-away`".to_owned();
@@ -201,6 +214,17 @@ impl<'a> RobotChecker<'a> {
                 self.find("robot::type", sentence, (component.origin, "type"), help, "unknown");
             }
             self.answers(&component.plan);
+        }
+        let claims = node.components().into_iter().flat_map(|component| {
+            component.claims.iter().map(|(name, _)| (name, component.origin))
+        });
+        let mut known = BTreeMap::new();
+        for (name, again) in claims {
+            if let Some(first) = known.insert(name, again) {
+                let sentence = format!("two components of node {} claim `{name}`", node.name);
+                let part = ElementPart::below("claim", "name", name, "name");
+                self.twice(sentence, part, [first, again], "delete one");
+            }
         }
     }
 
@@ -565,7 +589,7 @@ impl<'a> RobotChecker<'a> {
         }
     }
 
-    /// Everything that is needed is there, and starts before.
+    /// Everything that is needed is there and starts before, and nothing needs itself.
     fn dependencies(&mut self, groups: &BTreeMap<&str, usize>) {
         // The place of each object in the order of its node; a supervisor has that of its last
         // child.
@@ -589,6 +613,21 @@ impl<'a> RobotChecker<'a> {
                 needs.entry(full(&component.name)).or_default().extend(of);
             }
         }
+        let edges = needs.iter().map(|(object, needed)| {
+            (object, needed.iter().map(|(other, _)| other).collect::<Vec<_>>())
+        });
+        let (mut edges, mut circles): (SortedMap<_, _>, _) = (edges.collect(), BTreeSet::new());
+        while let Some(way) = circle(&edges) {
+            let Some((object, needed)) = needs.get_key_value(&way[0]) else { break };
+            for (_, component) in needed.iter().filter(|(other, _)| *other == way[1]) {
+                let sentence = format!("{}: each waits for the next", way.join(" -> "));
+                let at = (component.origin, "depends-on");
+                let help = "leave out one of these dependencies";
+                self.find("robot::cycle", sentence, at, help, "here");
+            }
+            edges.entry(object).or_default().retain(|other| **other != way[1]);
+            circles.extend(way.windows(2).map(<[String]>::to_vec));
+        }
         for (object, needed) in &needs {
             for (other, component) in needed {
                 let at = (component.origin, "depends-on");
@@ -605,7 +644,11 @@ impl<'a> RobotChecker<'a> {
                 let Some(here) = order.get(object).copied() else { continue };
                 let own_node = self.robot.nodes[here.0].name.as_str();
                 self.reach(groups, [own_node, node], at);
-                if place.0 == here.0 && place.1 >= here.1 {
+                if place.0 == here.0 && place.1 < here.1 {
+                    continue;
+                }
+                let edge = [object.clone(), other.clone()];
+                if place.0 == here.0 && !circles.contains(&edge[..]) {
                     let sentence =
                         format!("`{}` depends on `{own}`, which starts after it", component.name);
                     let help = format!("move `{own}` before `{}`", component.name);

@@ -358,6 +358,14 @@ impl SupervisorDescription {
         }
     }
 
+    /// Whether something below it is so.
+    pub(crate) fn any(&self, is_so: &impl Fn(&ChildDescription) -> bool) -> bool {
+        self.children.iter().any(|child| match child {
+            ChildDescription::Supervisor(below) => is_so(child) || below.any(is_so),
+            ChildDescription::Component(_) => is_so(child),
+        })
+    }
+
     /// Changes everything below it; what is refused is removed.
     pub(crate) fn retain(&mut self, keep: &mut impl FnMut(&mut ChildDescription) -> bool) {
         self.children.retain_mut(&mut *keep);

@@ -13,6 +13,11 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
+/// Elements and attributes that have their place in the format and no meaning yet.
+const NOT_YET: &str = "composite export fault-kind link member mode port service variant automatic-shutdown \
+    commanders executable max-recovery on-give-up placement priority significant start \
+    variants blocking";
+
 /// The values of the arguments that a file declares; those of a copy have `copy` as well.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ArgumentValues {
@@ -257,6 +262,12 @@ impl<'a> RobotElement<'a> {
     /// Finds a name that was not asked for.
     fn unknown(&self, what: &str, name: &str, range: Range<usize>, known: &[&'static str]) {
         let of = self.name();
+        if NOT_YET.split(' ').any(|known| known == name) {
+            let sentence = format!("`{name}` is not known yet");
+            let help = format!("delete it: this version does not read the {what} `{name}`");
+            let error = ValueError::new(sentence, "not known yet", help);
+            return self.find("robot::not-yet", range, error);
+        }
         let mut all = known.to_vec();
         all.sort_unstable();
         let help = match (nearest(name, known.iter().copied()), known.is_empty()) {

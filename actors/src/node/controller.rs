@@ -20,11 +20,13 @@ use blastema_contract::strategy::EnterSafeState;
 use blastema_core::detection::NodeCondition;
 use blastema_core::recovery::GiveUpReason;
 use blastema_core::{Fault, FaultKind, Incarnation, NodeName, ObjectName};
+use serde::Serialize;
 use tokio::sync::{oneshot, watch};
 use tracing::info;
 
 /// How a node is.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(tag = "state", rename_all = "snake_case")]
 pub enum NodeState {
     /// Its components are being started, in order.
     Starting,

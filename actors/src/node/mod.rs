@@ -58,6 +58,7 @@ use crate::condition::{
     Condition, ConditionError, ConditionStatus, Connected, Heartbeat, heartbeat,
 };
 use crate::host::reference::ActorRef;
+use crate::host::spec::ChildSpec;
 use crate::liveness::sampler::Running;
 use crate::liveness::threads;
 use crate::liveness::threads::ThreadRow;

@@ -28,7 +28,7 @@ fn files_in(folder: &str) -> Vec<PathBuf> {
 
 #[test]
 fn xmllint_takes_right_files_and_finds_mistakes_of_shape() {
-    let right = files_in("tests/right").into_iter();
+    let right = files_in("tests/right").into_iter().chain(files_in("tests/right/parts"));
     let of_shape = files_in("tests/wrong")
         .into_iter()
         .filter(|file| fs::read_to_string(file).expect("it is there").contains("<!-- shape -->"));
