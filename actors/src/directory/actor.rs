@@ -160,8 +160,7 @@ impl DirectoryActor {
         warn!(%name, "a claim is refused: {refused}");
         if let Some(own) = self.own.get(name).filter(|own| own.unattended) {
             let object = own.wanted.object.clone();
-            let claim = (name.clone(), own.number);
-            self.without.handle_refused(claim, object, refused.to_string());
+            self.without.handle_refused((name.clone(), own.number), object, &refused);
             self.say_who_goes_without();
         }
         let is_forbidden = matches!(refused, ClaimRefused::Forbidden { .. });
@@ -314,7 +313,11 @@ impl MachineActor for DirectoryActor {
                     false => self.end(&name, ClaimState::Lost { to, epoch }),
                 }
             }
-            DirectoryOutput::Held { .. } => self.setup.names.holder_changed(),
+            DirectoryOutput::Held { name, holder } => {
+                self.without.handle_holder(&name, holder.as_ref());
+                self.say_who_goes_without();
+                self.setup.names.holder_changed();
+            }
         }
     }
 }
@@ -340,11 +343,7 @@ impl Handler<ClaimCommand> for DirectoryActor {
                         let held = NameHeld { name, holder, epoch };
                         if unattended {
                             let claim = (held.name.clone(), number);
-                            let why = format!(
-                                "{other} of this node claims it too: one of the two is to take \
-                                 another name"
-                            );
-                            self.without.handle_refused(claim, wanted.object, why);
+                            self.without.handle_doubled(claim, wanted.object, &other);
                             self.say_who_goes_without();
                         }
                         state_sender.send_replace(ClaimState::Refused(held.into()));

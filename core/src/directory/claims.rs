@@ -5,7 +5,9 @@
 //! count.
 
 use super::types::{ClaimRefused, ClaimRequest, NameClaim, NameHeld};
-use super::{CLAIMS_MAX, ClaimPolicy, Directory, DirectoryKey, DirectoryOutput, Holder, Presence};
+use super::{
+    CLAIMS_MAX, ClaimPolicy, Directory, DirectoryKey, DirectoryOutput, Holder, Reachability,
+};
 use crate::net::NodeId;
 use crate::net::trust::access::{AccessDenied, AccessPolicy};
 use crate::net::trust::policy::Verb;
@@ -192,7 +194,7 @@ impl Directory {
                 self.outputs.push_back(DirectoryOutput::Refused { name, refused });
             }
         }
-        let peers = self.peers.iter().filter(|(_, peer)| peer.presence != Presence::Gone);
+        let peers = self.peers.iter().filter(|(_, peer)| peer.reachability != Reachability::Gone);
         let told = peers.flat_map(|(node, peer)| {
             peer.records.iter().map(|(key, claim)| (node.clone(), key.clone(), claim.clone()))
         });

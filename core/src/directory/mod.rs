@@ -53,7 +53,7 @@ pub const NAMES_MAX: usize = 100_000;
 #[derive(Debug)]
 struct DirectoryPeer {
     incarnation: Incarnation,
-    presence: Presence,
+    reachability: Reachability,
     /// The session with it has ended: what comes next tells everything.
     ended: bool,
     records: SortedMap<DirectoryKey, NameClaim>,
@@ -66,7 +66,7 @@ struct DirectoryPeer {
 
 /// Whether a node's records count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Presence {
+enum Reachability {
     /// They do.
     Here,
     /// The node cannot be reached; they count until then.
@@ -132,12 +132,12 @@ impl Directory {
             self.look_at(&name, now);
         }
         let peers: Vec<_> =
-            self.peers.iter().map(|(node, peer)| (node.clone(), peer.presence)).collect();
-        for (node, presence) in peers {
-            if presence != Presence::Gone {
+            self.peers.iter().map(|(node, peer)| (node.clone(), peer.reachability)).collect();
+        for (node, reachability) in peers {
+            if reachability != Reachability::Gone {
                 self.count_claims(&node, now);
             }
-            if presence == Presence::Here {
+            if reachability == Reachability::Here {
                 self.tell_all(&node);
             }
         }
@@ -162,7 +162,7 @@ impl Directory {
     pub fn nodes(
         &self,
     ) -> impl Iterator<Item = (&NodeName, Incarnation, impl Iterator<Item = &DirectoryKey>)> {
-        let here = self.peers.iter().filter(|(_, peer)| peer.presence == Presence::Here);
+        let here = self.peers.iter().filter(|(_, peer)| peer.reachability == Reachability::Here);
         here.map(|(node, peer)| {
             (node, peer.incarnation, peer.records.keys().filter(|key| self.has(node, key)))
         })
@@ -170,7 +170,7 @@ impl Directory {
 
     /// The other nodes that can be reached and have this.
     pub fn nodes_with(&self, key: &DirectoryKey) -> Vec<NodeName> {
-        let here = self.peers.iter().filter(|(_, peer)| peer.presence == Presence::Here);
+        let here = self.peers.iter().filter(|(_, peer)| peer.reachability == Reachability::Here);
         let having = here.filter(|(_, peer)| peer.records.contains_key(key));
         having.map(|(node, _)| node).filter(|node| self.has(node, key)).cloned().collect()
     }
@@ -207,7 +207,7 @@ impl Directory {
         }
         let fresh = DirectoryPeer {
             incarnation,
-            presence: Presence::Here,
+            reachability: Reachability::Here,
             ended: false,
             records: SortedMap::new(),
             telling: None,
@@ -216,7 +216,7 @@ impl Directory {
         };
         let peer = self.peers.entry(node.clone()).or_insert(fresh);
         peer.ended = false;
-        if std::mem::replace(&mut peer.presence, Presence::Here) == Presence::Gone {
+        if std::mem::replace(&mut peer.reachability, Reachability::Here) == Reachability::Gone {
             self.count_claims(&node, now);
         }
         self.tell_all(&node);
@@ -226,9 +226,9 @@ impl Directory {
     pub fn handle_unreachable(&mut self, node: &NodeName, now: Instant) {
         let until = now + self.config.lease;
         if let Some(peer) = self.peers.get_mut(node)
-            && peer.presence == Presence::Here
+            && peer.reachability == Reachability::Here
         {
-            peer.presence = Presence::Away { until };
+            peer.reachability = Reachability::Away { until };
         }
     }
 
@@ -238,7 +238,7 @@ impl Directory {
         self.handle_unreachable(node, now);
         let Some(peer) = self.peers.get_mut(node) else { return };
         peer.ended = true;
-        if peer.presence == Presence::Gone {
+        if peer.reachability == Reachability::Gone {
             self.handle_left(node, now);
         }
     }

@@ -3,7 +3,7 @@
 use super::types::{DirectoryMessage, DirectoryRecord, NameClaim};
 use super::{
     CLAIMS_MAX, Directory, DirectoryKey, DirectoryOutput, DirectoryPeer, NAMES_MAX, PRESENT_MAX,
-    Presence,
+    Reachability,
 };
 use crate::contract::codec;
 use crate::sorted::SortedSet;
@@ -81,7 +81,7 @@ impl Directory {
         }
         let before = peer.records.insert(key.clone(), claim.clone());
         if before.as_ref() != Some(&claim)
-            && peer.presence != Presence::Gone
+            && peer.reachability != Reachability::Gone
             && let DirectoryKey::Name(name) = &key
         {
             self.believe(from, name, claim);
@@ -151,7 +151,9 @@ impl Directory {
 
     fn tell_everybody(&mut self, message: &DirectoryMessage) {
         let message = Bytes::from(codec::encode_unbounded(message));
-        for (node, _) in self.peers.iter().filter(|(_, peer)| peer.presence == Presence::Here) {
+        for (node, _) in
+            self.peers.iter().filter(|(_, peer)| peer.reachability == Reachability::Here)
+        {
             let (to, message) = (node.clone(), message.clone());
             self.outputs.push_back(DirectoryOutput::Send { to, message });
         }
@@ -176,13 +178,13 @@ impl Directory {
 
     /// Ends what nodes have told that could not be reached for a lease.
     pub(super) fn expire_leases(&mut self, now: Instant) {
-        let lapsed = |peer: &DirectoryPeer| matches!(peer.presence, Presence::Away { until } if now >= until);
+        let lapsed = |peer: &DirectoryPeer| matches!(peer.reachability, Reachability::Away { until } if now >= until);
         let gone = self.peers.iter().filter(|(_, peer)| lapsed(peer));
         let gone: Vec<_> = gone.map(|(node, _)| node.clone()).collect();
         for node in gone {
             self.clear(&node, now);
             match self.peers.get_mut(&node).filter(|peer| !peer.ended) {
-                Some(peer) => peer.presence = Presence::Gone,
+                Some(peer) => peer.reachability = Reachability::Gone,
                 None => drop(self.peers.remove(&node)),
             }
         }

@@ -1,7 +1,7 @@
 //! When the directory acts by itself.
 
 use super::claims::OwnClaim;
-use super::{Directory, Presence};
+use super::{Directory, Reachability};
 use crate::timer::Timers;
 use crate::{Instant, ObjectName};
 
@@ -28,9 +28,9 @@ impl Timers for Directory {
         match timer {
             DirectoryTimer::Settle => self.settles,
             DirectoryTimer::LeaseExpiry => {
-                let ends = self.peers.values().filter_map(|peer| match peer.presence {
-                    Presence::Away { until } => Some(until),
-                    Presence::Here | Presence::Gone => None,
+                let ends = self.peers.values().filter_map(|peer| match peer.reachability {
+                    Reachability::Away { until } => Some(until),
+                    Reachability::Here | Reachability::Gone => None,
                 });
                 ends.min()
             }

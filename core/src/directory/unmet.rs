@@ -1,5 +1,6 @@
 //! Components that go without the names that they claim.
 
+use super::types::{ClaimRefused, Holder};
 use crate::ObjectName;
 use crate::sorted::SortedMap;
 
@@ -10,15 +11,60 @@ const NAMED_MAX: usize = 8;
 /// component's claim: as long as there is an entry, it is a fault.
 #[derive(Clone, Debug, Default)]
 pub struct UnmetClaims {
-    /// By the name and the number of the claim, the component and the reason; as many as components
-    /// here claim.
-    cases: SortedMap<(ObjectName, u64), (ObjectName, String)>,
+    /// By the name and the number of the claim; as many as components here claim.
+    cases: SortedMap<(ObjectName, u64), Case>,
+}
+
+#[derive(Clone, Debug)]
+struct Case {
+    object: ObjectName,
+    why: String,
+    /// It is because of a holder, who may change.
+    held: bool,
 }
 
 impl UnmetClaims {
-    /// A claim of this component was refused, for this reason.
-    pub fn handle_refused(&mut self, claim: (ObjectName, u64), object: ObjectName, why: String) {
-        self.cases.insert(claim, (object, why));
+    /// A claim of this component's was refused.
+    pub fn handle_refused(
+        &mut self,
+        (name, number): (ObjectName, u64),
+        object: ObjectName,
+        refused: &ClaimRefused,
+    ) {
+        let held = matches!(refused, ClaimRefused::Held(_));
+        self.cases.insert((name, number), Case { object, why: refused.to_string(), held });
+    }
+
+    /// Another component of this node claims the name already.
+    pub fn handle_doubled(
+        &mut self,
+        (name, number): (ObjectName, u64),
+        object: ObjectName,
+        other: &ObjectName,
+    ) {
+        let why =
+            format!("{other} of this node claims it too: one of the two is to take another name");
+        self.cases.insert((name, number), Case { object, why, held: true });
+    }
+
+    /// The name has another holder than before, or none.
+    pub fn handle_holder(&mut self, name: &ObjectName, holder: Option<&Holder>) {
+        let cases = self.cases.range_mut((name.clone(), 0)..=(name.clone(), u64::MAX));
+        for (_, case) in cases.filter(|(_, case)| case.held) {
+            case.why = match holder {
+                Some(holder) => {
+                    let epoch = holder.epoch;
+                    format!(
+                        "{name} is claimed by {holder}, under epoch {epoch}: stand by, or take \
+                         another name"
+                    )
+                }
+                None => {
+                    let object = &case.object;
+                    format!("it has no holder now: restart {object}, or let it stand by for it")
+                }
+            };
+        }
     }
 
     /// The component has the name, or has ended.
@@ -28,10 +74,10 @@ impl UnmetClaims {
 
     /// All that is to be said now.
     pub fn text(&self) -> Option<String> {
-        let named = self.cases.iter().take(NAMED_MAX).map(|((name, _), (object, why))| {
+        let case = |((name, _), Case { object, why, .. }): (&(ObjectName, u64), &Case)| {
             format!("{object} goes without the name {name}: {why}")
-        });
-        let named: Vec<_> = named.collect();
+        };
+        let named: Vec<_> = self.cases.iter().take(NAMED_MAX).map(case).collect();
         let more = self.cases.len() - named.len();
         let more = if more > 0 { format!("; and {more} more") } else { String::new() };
         (!named.is_empty()).then(|| named.join("; ") + &more)
@@ -41,33 +87,59 @@ impl UnmetClaims {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::NodeName;
+    use crate::directory::NameHeld;
 
     fn name(text: &str) -> ObjectName {
         ObjectName::new(text).unwrap()
+    }
+
+    fn held(by: &str) -> ClaimRefused {
+        let holder = NodeName::new(by).unwrap();
+        NameHeld { name: name("map"), holder, epoch: 7 }.into()
     }
 
     #[test]
     fn all_are_named_who_go_without_and_no_others() {
         let mut without = UnmetClaims::default();
         assert_eq!(without.text(), None);
-        without.handle_refused((name("map"), 1), name("one"), "it is held".to_owned());
-        without.handle_refused((name("map"), 2), name("two"), "one has it".to_owned());
-        let text = "one goes without the name map: it is held; \
-                    two goes without the name map: one has it";
-        assert_eq!(without.text().as_deref(), Some(text));
+        without.handle_refused((name("map"), 1), name("one"), &held("a"));
+        without.handle_doubled((name("map"), 2), name("two"), &name("one"));
+        let text = without.text().unwrap();
+        assert!(text.starts_with("one goes without the name map: map is claimed by a, "), "{text}");
+        assert!(text.contains("; two goes without the name map: one of this node"), "{text}");
 
         without.handle_end(&name("map"), 1);
-        assert_eq!(without.text().unwrap(), "two goes without the name map: one has it");
+        assert!(without.text().unwrap().starts_with("two goes"));
+        without.handle_end(&name("other"), 2);
         without.handle_end(&name("map"), 2);
         assert_eq!(without.text(), None);
     }
 
     #[test]
+    fn it_is_said_who_holds_the_name_now() {
+        let mut without = UnmetClaims::default();
+        without.handle_refused((name("map"), 1), name("one"), &held("a"));
+        without.handle_refused((name("map"), 2), name("two"), &ClaimRefused::TooMany { limit: 1 });
+
+        without.handle_holder(&name("map"), None);
+        assert!(without.text().unwrap().contains("it has no holder now: restart one, or"));
+        let node = NodeName::new("b").unwrap();
+        let holder = Holder { node, object: name("map"), epoch: 9 };
+        without.handle_holder(&name("map"), Some(&holder));
+        without.handle_holder(&name("maps"), None);
+
+        let text = without.text().unwrap();
+        assert!(
+            text.contains("one goes without the name map: map is claimed by b:map, under epoch 9")
+        );
+        assert!(text.contains("two goes without the name map: this node claims 1 names"), "{text}");
+    }
+
+    #[test]
     fn of_many_the_first_are_named() {
         let mut without = UnmetClaims::default();
-        for n in 0..100 {
-            without.handle_refused((name("map"), n), name("one"), "it is held".to_owned());
-        }
+        (0..100).for_each(|n| without.handle_refused((name("map"), n), name("one"), &held("a")));
         assert!(without.text().unwrap().ends_with("; and 92 more"));
     }
 }

@@ -159,10 +159,8 @@ impl PeerProtocol {
                 self.outputs.push_back(PeerProtocolOutput::Roster { peer, text: text.into() });
             }
             PeerMessage::Directory { message } => {
-                self.outputs.push_back(PeerProtocolOutput::Directory {
-                    peer,
-                    message: message.into(),
-                });
+                self.outputs
+                    .push_back(PeerProtocolOutput::Directory { peer, message: message.into() });
             }
             PeerMessage::Leaving => self.outputs.push_back(PeerProtocolOutput::Bye { peer }),
             PeerMessage::NotReady { binding } => match session.handle_not_ready(binding) {

@@ -22,7 +22,7 @@ pub use self::types::{
     Call, MessageTarget, PeerProtocolOutput, SessionEpoch, TopicContract, TransmitState,
 };
 
-use self::node_state::NodeState;
+use self::node_state::AnnouncedState;
 use self::peer::{Binding, BindingTable, PeerSession, PendingCall, QueuedMessage, carry};
 use self::reply_cache::ReplyCache;
 
@@ -69,7 +69,7 @@ pub struct PeerProtocol {
     /// The objects of this node answer: peers are told that it is connected.
     is_started: bool,
     /// What peers are told of this node.
-    own: NodeState,
+    own: AnnouncedState,
     refusals: Refusals,
     outputs: VecDeque<PeerProtocolOutput>,
 }

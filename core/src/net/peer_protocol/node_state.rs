@@ -18,14 +18,14 @@ const REASON_MAX: usize = 256;
 
 /// What peers are told of this node.
 #[derive(Debug, Default)]
-pub(super) struct NodeState {
+pub(super) struct AnnouncedState {
     /// Why it is in the safe state, as peers are told; `None` if it never was.
     safe_state: Option<Option<String>>,
     /// The serial number of its roster, and the signed text.
     roster: Option<(u64, Bytes)>,
 }
 
-impl NodeState {
+impl AnnouncedState {
     /// All that a peer is told when a session with it begins.
     pub(super) fn messages(&self) -> impl Iterator<Item = PeerMessage> {
         let safe_state = self.safe_state.clone().map(|reason| match reason {
