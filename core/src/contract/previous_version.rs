@@ -46,7 +46,7 @@ impl<M: Contract> PreviousVersion<M> {
         let before = PreviousVersion::<M> {
             identity: ContractIdentity::of::<P>(),
             read: Box::new(|bytes| codec::decode_shared::<P>(bytes).map(M::from)),
-            answer: Box::new(|reply| codec::encode_parcel_reply::<P>(P::Reply::from(reply))),
+            answer: Box::new(|reply| codec::encode_parcel_reply::<P>(&P::Reply::from(reply))),
         };
         let earlier =
             P::previous_versions().into_iter().map(|PreviousVersion { identity, read, answer }| {

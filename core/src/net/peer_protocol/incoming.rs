@@ -30,7 +30,7 @@ impl PeerProtocol {
         let epoch = session.epoch;
         match message {
             PeerMessage::Bind { binding, object, identity } => {
-                self.handle_bind(peer, binding, object, &identity);
+                self.handle_bind(peer, binding, object, identity);
             }
             PeerMessage::Bound { binding } => {
                 let sent = session.bound(peer, binding, &mut self.next_call);
@@ -180,7 +180,7 @@ impl PeerProtocol {
         }
     }
 
-    fn handle_bind(&mut self, peer: NodeId, binding: u32, object: ObjectName, identity: &Vec<u8>) {
+    fn handle_bind(&mut self, peer: NodeId, binding: u32, object: ObjectName, identity: Vec<u8>) {
         let Some(session) = self.peers.get(&peer).and_then(|peer| peer.session.as_ref()) else {
             return;
         };
@@ -189,7 +189,9 @@ impl PeerProtocol {
             return;
         }
         let epoch = session.epoch;
-        let Some(identity) = self.take_in(peer, identity).map(Box::new) else {
+        let Some(identity) =
+            self.take_in(peer, &[identity]).and_then(|mut read| read.pop()).map(Box::new)
+        else {
             let why = DeliveryError::Undecodable { reason: "the contract's identity".into() };
             let refused = PeerMessage::BindRefused { binding, why, identity: Vec::new() };
             self.outputs.push_back(control(peer, &refused));
