@@ -19,7 +19,7 @@ use blastema_core::net::NodeId;
 use blastema_core::sorted::SortedMap;
 use blastema_core::{
     Contract, ContractIdentity, DeliveryError, FaultKind, GatherBuffer, Incarnation, Instant,
-    MessageId, NodeName, ObjectAddress, ObjectName, suggestion,
+    MessageId, NodeName, ObjectAddress, ObjectName, PeerIdentity, suggestion,
 };
 use bytes::Bytes;
 use ports::{Connections, DeclaredPort};

@@ -61,6 +61,11 @@ impl OtherContract {
         let difference = difference.map_or(format!("the {party} says so"), |it| it.to_string());
         DeliveryError::ContractDiffers { difference }
     }
+
+    /// The name of the contract.
+    pub(crate) fn name(&self) -> String {
+        PeerIdentity::decode(&self.identity).map(|known| known.name).unwrap_or_default()
+    }
 }
 
 /// Why the node refuses a request that names the contract which it is about.

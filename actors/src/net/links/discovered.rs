@@ -172,7 +172,6 @@ impl Handler<TransportReport> for BeaconReceiver {
             TransportReport::Ended
             | TransportReport::Rate { .. }
             | TransportReport::PeerLost { .. }
-            | TransportReport::NoCarrier { .. }
             | TransportReport::Clash { .. } => {}
         }
     }

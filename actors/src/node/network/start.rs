@@ -2,8 +2,6 @@
 
 use super::beacons::Beacons;
 use super::{Admitted, Cable, Link, Medium, Network};
-#[cfg(feature = "serial")]
-use crate::net::keys::SealTerms;
 use crate::net::{DiscoverySpec, LinkSpec, NetworkSpec};
 use crate::node::error::StartError;
 use crate::platform;
