@@ -261,8 +261,8 @@ pub use node::{
 };
 pub use node::{
     ComponentOrder, DegradedPart, FaultCounts, FaultEvents, LastRecovery, Node, NodeBuilder,
-    NodeHealth, NodeState, OrderReply, OrderRow, OrderVerb, RemoveError,
-    RestartError, RestartedChild, StartError, Subtree, SupervisorSpec,
+    NodeHealth, NodeState, OrderReply, OrderRow, OrderVerb, RemoveError, RestartError,
+    RestartedChild, StartError, Subtree, SupervisorSpec,
 };
 
 // Faults: found, shown, recovered.
