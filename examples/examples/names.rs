@@ -37,7 +37,7 @@ impl Handle<Author> for Cartographer {
 
 /// A node that sends its address to the group, and makes a link to each node that does the same.
 fn node(name: &str, own: SocketAddr, group: &str, peers: &[(&str, SocketAddr)]) -> NodeBuilder {
-    let mut network = Network::udp("ethernet", own).beacons(group).discover_anybody();
+    let mut network = Network::udp("ethernet", own).discover_anybody(group);
     for (peer, address) in peers {
         network = network.peer(peer, &address.to_string());
     }
