@@ -26,8 +26,6 @@ pub(crate) mod inspection;
 mod lost_communication;
 #[cfg(feature = "network")]
 mod network;
-#[cfg(feature = "network")]
-mod network_rows;
 mod order;
 mod safety;
 pub(crate) mod snapshot;
@@ -47,10 +45,9 @@ pub use lost_communication::{
 };
 #[cfg(feature = "network")]
 pub use network::{
-    Cable, Direction, Impairment, IsolateError, Link, MediumKind, MemoryMedium, Network, NotReady,
+    Cable, Direction, Impairment, IsolateError, Link, MediumKind, MemoryMedium, Network,
+    NetworkRow, NotReady,
 };
-#[cfg(feature = "network")]
-pub use network_rows::NetworkRow;
 pub use order::{ComponentOrder, OrderReply, OrderRow, OrderVerb};
 pub use tree::{Subtree, SupervisorSpec};
 
