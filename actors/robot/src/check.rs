@@ -262,12 +262,10 @@ impl<'a> RobotChecker<'a> {
                 let key = error.key().to_owned();
                 let is_unknown = matches!(error, ParameterError::Unknown { .. });
                 let attribute = if is_unknown { "name" } else { "value" };
-                let (sentence, help) = (
-                    format!("of {name}, {error}"),
-                    "correct it; the command `describe` prints what there is",
-                );
+                let sentence = format!("of {name}, {error}");
+                let help = "correct it; the command `describe` prints what there is".to_owned();
                 let part = ElementPart::below("param", "name", &key, attribute);
-                ("robot::parameter", (origin_of(&name), part), sentence, help)
+                ("robot::parameter", (origin_of(name.as_str()), part), sentence, help)
             }
             StartError::Spec(SpecError::Device { name, setting, why }) => {
                 let part = match setting {
@@ -373,29 +371,6 @@ impl<'a> RobotChecker<'a> {
         let folder = outermost.as_deref().and_then(Path::parent);
         let below = folder.and_then(|folder| Path::new(path).strip_prefix(folder).ok());
         below.map_or(path.to_owned(), |below| below.display().to_string())
-    }
-
-    fn parameter_help(&self, node: &NodeDescription, name: &str, error: &ParameterError) -> String {
-        let components = node.components();
-        let component = components.iter().find(|component| component.name == name);
-        let of = component.and_then(|component| self.types.description(&component.type_name));
-        let parameters = of.map(|of| &*of.parameters).unwrap_or_default();
-        let key = match error {
-            ParameterError::Unknown { nearest: Some(nearest), .. } => nearest,
-            error => error.key(),
-        };
-        match parameters.iter().find(|parameter| parameter.name == key) {
-            Some(parameter) => {
-                let unit = parameter.unit.as_ref().map(|unit| format!(" in {unit}"));
-                let range = parameter.range.as_ref().map(|range| format!(", {range}"));
-                let (unit, range) = (unit.unwrap_or_default(), range.unwrap_or_default());
-                format!(
-                    "write `{key}` ({}{unit}{range}, default {})",
-                    parameter.takes, parameter.default
-                )
-            }
-            None => hint(key, parameters.iter().map(|parameter| parameter.name.as_str())),
-        }
     }
 
     /// What is wrong with the settings of an actuator, which are of this contract: the sentence, the

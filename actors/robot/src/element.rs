@@ -93,11 +93,8 @@ impl<'a> RobotElement<'a> {
     ) -> Option<T> {
         if self.node.attribute(name).is_none() {
             let sentence = format!("`{}` has no `{name}`", self.name());
-            self.find(
-                "robot::missing",
-                tag_name(self.node),
-                ValueError::new(sentence, "here", format!("add `{name}=\"…\"`")),
-            );
+            let error = ValueError::new(sentence, "here", format!("add `{name}=\"…\"`"));
+            self.find_at("robot::missing", name, error);
         }
         self.take(name, parse)
     }
@@ -180,7 +177,7 @@ impl<'a> RobotElement<'a> {
             let sentence = format!("the robot has more than {most} components");
             let help = "write fewer, or make one component of many that are alike";
             let error = ValueError::new(sentence, "one too many", help);
-            self.find("robot::limit", self.place("copies"), error);
+            self.find_at("robot::limit", "copies", error);
         }
         before + made <= most
     }
@@ -196,8 +193,13 @@ impl<'a> RobotElement<'a> {
         RobotElement::new(self.node, self.reading, Some(copy))
     }
 
+    /// Adds a finding about an attribute; about the element's name where it has no such attribute.
+    pub(crate) fn find_at(&self, code: &'static str, attribute: &str, error: ValueError) {
+        self.find(code, value_place(self.node, attribute), error);
+    }
+
     /// Adds a finding about a place in this element.
-    pub(crate) fn find(&self, code: &'static str, range: Range<usize>, error: ValueError) {
+    fn find(&self, code: &'static str, range: Range<usize>, error: ValueError) {
         let ValueError { sentence, label, help } = error;
         let labels = vec![(FilePlace { file: self.reading.file, range }, label)];
         self.add(RobotFinding { code, sentence, help, labels });
@@ -209,11 +211,6 @@ impl<'a> RobotElement<'a> {
         if !findings.contains(&finding) {
             findings.push(finding);
         }
-    }
-
-    /// The place of an attribute's value; the element's name where there is none.
-    pub(crate) fn place(&self, attribute: &str) -> Range<usize> {
-        value_place(self.node, attribute)
     }
 
     /// The text with the values of arguments in the places of `${name}`.

@@ -131,11 +131,8 @@ impl RobotReader<'_> {
             let (name, namespace) = (root.name(), namespace.unwrap_or_default());
             let sentence =
                 format!("a robot file begins with `robot`, not with `{name}`{namespace}");
-            root.find(
-                "robot::schema",
-                crate::finding::tag_name(root.node),
-                ValueError::new(sentence, "here", "write `<robot …>`"),
-            );
+            let error = ValueError::new(sentence, "here", "write `<robot …>`");
+            root.find_at("robot::schema", "", error);
             return root.leave();
         }
         self.open.push(path);
@@ -154,11 +151,8 @@ impl RobotReader<'_> {
             let sentence =
                 format!("this file has schema {schema}, and this program reads {SCHEMA}");
             let help = format!("write `{SCHEMA}`, and what that schema has");
-            root.find(
-                "robot::schema",
-                root.place("schema"),
-                ValueError::new(sentence, "written for another version", help),
-            );
+            let error = ValueError::new(sentence, "written for another version", help);
+            root.find_at("robot::schema", "schema", error);
             return root.leave();
         }
         *reading.arguments.borrow_mut() = arguments(root, set);
@@ -184,11 +178,7 @@ impl RobotReader<'_> {
         let set = texts(element.distinct("set", "argument"), ["argument", "value"]);
         let Some(name) = element.need("file", value::text) else { return };
         let wrong = |sentence: String, help: &str| {
-            element.find(
-                "robot::include",
-                element.place("file"),
-                ValueError::new(sentence, "here", help),
-            );
+            element.find_at("robot::include", "file", ValueError::new(sentence, "here", help));
         };
         let from = self.open.last().and_then(|open| open.parent()).unwrap_or(&self.root);
         let path = match fs::canonicalize(from.join(&name)) {
@@ -278,7 +268,7 @@ fn arguments(root: &RobotElement<'_>, set: &ArgumentSource<'_>) -> ArgumentValue
                 } else {
                     "name"
                 };
-                element.find("robot::value", element.place(part), error);
+                element.find_at("robot::value", part, error);
                 arguments.missing.push(name);
             }
             None => {
@@ -289,11 +279,9 @@ fn arguments(root: &RobotElement<'_>, set: &ArgumentSource<'_>) -> ArgumentValue
                     }
                 };
                 let help = format!("give it by {how}, or add `default`");
-                element.find(
-                    "robot::argument",
-                    element.place("name"),
-                    ValueError::new(format!("`{name}` has no value"), "without a value", help),
-                );
+                let sentence = format!("`{name}` has no value");
+                let error = ValueError::new(sentence, "without a value", help);
+                element.find_at("robot::argument", "name", error);
                 arguments.missing.push(name);
             }
         }
@@ -303,11 +291,7 @@ fn arguments(root: &RobotElement<'_>, set: &ArgumentSource<'_>) -> ArgumentValue
         if !declared.clone().any(|known| known == name) {
             let help = hint(name, declared);
             let sentence = format!("there is no argument `{name}` to set");
-            root.find(
-                "robot::argument",
-                root.place("name"),
-                ValueError::new(sentence, "this file", help),
-            );
+            root.find_at("robot::argument", "name", ValueError::new(sentence, "this file", help));
         }
     }
     arguments
@@ -433,7 +417,7 @@ fn needs(element: &RobotElement<'_>) -> Option<NeedDescription> {
     if channel.is_none() || written.next().is_some() {
         let sentence = "`needs` names one channel";
         let help = "write `heartbeat`, `node`, `session` or `link`, and one `needs` for each";
-        element.find("robot::lost", element.place(""), ValueError::new(sentence, "here", help));
+        element.find_at("robot::lost", "", ValueError::new(sentence, "here", help));
     }
     // Without a channel the other attributes are known all the same.
     let (kind, name, of) = channel.unwrap_or(("", String::new(), Connected::heartbeat));
@@ -494,11 +478,7 @@ fn child(element: &RobotElement<'_>, children: &mut Vec<ChildDescription>) {
     if element.node.ancestors().nth(NESTED_MAX).is_some() {
         let sentence = format!("more than {NESTED_MAX} elements stand within each other");
         let help = "make the tree of supervisors flatter";
-        element.find(
-            "robot::limit",
-            element.place("name"),
-            ValueError::new(sentence, "one too many", help),
-        );
+        element.find_at("robot::limit", "name", ValueError::new(sentence, "one too many", help));
         return element.leave();
     }
     let mut supervisor = SupervisorDescription {
@@ -719,11 +699,8 @@ fn answer(element: &RobotElement<'_>) -> Option<AnswerDescription> {
             }
             (Some(Some(_)), Some(_)) => {
                 let sentence = "only the action `strategy` has a `strategy`";
-                step.find(
-                    "robot::plan",
-                    step.place("strategy"),
-                    ValueError::new(sentence, "of no use", "delete it"),
-                );
+                let error = ValueError::new(sentence, "of no use", "delete it");
+                step.find_at("robot::plan", "strategy", error);
                 None
             }
             (None, _) => None,
@@ -747,12 +724,8 @@ fn answer(element: &RobotElement<'_>) -> Option<AnswerDescription> {
     }
     let fault = element.need("fault", value::fault);
     if steps.is_empty() {
-        let help = "add `<step action=…/>`";
-        element.find(
-            "robot::plan",
-            element.place("fault"),
-            ValueError::new("a fault without an answer", "without a step", help),
-        );
+        let (sentence, help) = ("a fault without an answer", "add `<step action=…/>`");
+        element.find_at("robot::plan", "fault", ValueError::new(sentence, "without a step", help));
     }
     Some(AnswerDescription { fault: fault?, ladder: ladder?, origin: element.origin() })
 }

@@ -138,9 +138,9 @@ impl NodeBuilder {
     /// Returns what [`start`](Self::start) would refuse in the description: everything that is wrong
     /// with the node, its networks, components and supervisors; where these components are right,
     /// all connections and policies for lost communication that are not; else the first other
-    /// error. No component is made, and no medium, file
-    /// of variables or journal is opened; keys and files of parameters are read. The computer on
-    /// which the node starts may refuse more, such as its [memory](NodeBuilder::locked_memory).
+    /// error. No component is made, and no medium, file of variables or journal is opened; keys and
+    /// files of parameters are read. The computer on which the node starts may refuse more, such as
+    /// its [memory](NodeBuilder::locked_memory).
     pub fn check(self) -> Vec<StartError> {
         let mut refused = check_settings(&self);
         let last = check(self, &mut refused).err();

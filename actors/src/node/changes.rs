@@ -51,18 +51,6 @@ pub enum RestartedChild {
     Finished,
 }
 
-impl RestartedChild {
-    /// Returns the incarnation that has started, if one has.
-    pub fn incarnation(self) -> Option<Incarnation> {
-        match self {
-            RestartedChild::Running(incarnation) | RestartedChild::Unavailable(incarnation) => {
-                Some(incarnation)
-            }
-            RestartedChild::Finished => None,
-        }
-    }
-}
-
 /// Why a component or supervisor is not removed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]

@@ -35,6 +35,7 @@ pub enum NodeState {
     /// Something could not be contained, or was restarted more often than the root allows: the safe
     /// outputs were applied and everything was stopped. [`Node::restart`](crate::Node::restart)
     /// brings it back.
+    #[serde(rename = "in safe state")]
     InSafeState {
         /// What could not be contained, or which limit was exceeded.
         reason: String,

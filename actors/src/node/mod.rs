@@ -25,7 +25,6 @@ mod health;
 pub(crate) mod inspection;
 mod lost_communication;
 mod network;
-mod network_rows;
 mod order;
 mod safety;
 pub(crate) mod snapshot;
@@ -44,9 +43,9 @@ pub use lost_communication::{
     AcknowledgeError, LostCommunicationPolicy, LostCommunicationRow, Rung,
 };
 pub use network::{
-    Cable, Direction, Impairment, IsolateError, Link, MediumKind, MemoryMedium, Network, NotReady,
+    Cable, Direction, Impairment, IsolateError, Link, MediumKind, MemoryMedium, Network,
+    NetworkRow, NotReady,
 };
-pub use network_rows::NetworkRow;
 pub use order::{ComponentOrder, OrderReply, OrderRow, OrderVerb};
 pub use tree::{Subtree, SupervisorSpec};
 

@@ -10,6 +10,7 @@ pub(in crate::node) mod services;
 pub(in crate::node) mod signs;
 pub(crate) mod start;
 
+pub use self::exposure::NetworkRow;
 pub use self::node::{IsolateError, NotReady};
 
 use crate::net::Interface;
@@ -57,10 +58,8 @@ pub struct Network {
     memory: MemoryMedium,
     faults: Option<u64>,
     insecure: bool,
-    /// The group by which beacons are sent.
-    beacons: Option<String>,
     kind: Option<MediumKind>,
-    discover: Option<Admitted>,
+    discovery: Option<Discovery>,
     links: Vec<Link>,
 }
 
@@ -87,10 +86,12 @@ impl MediumKind {
     }
 }
 
-/// The nodes that are discovered.
-enum Admitted {
-    AnyNode,
-    Only(Vec<String>),
+/// How neighbours are found that are not described.
+struct Discovery {
+    /// The group by which beacons are sent.
+    group: String,
+    /// Those that get a link; `None` for nodes of any name.
+    nodes: Option<Vec<String>>,
 }
 
 enum Medium {
@@ -176,9 +177,8 @@ impl Network {
             memory: MemoryMedium::of_this_process(),
             faults: None,
             insecure: false,
-            beacons: None,
             kind: None,
-            discover: None,
+            discovery: None,
             links: Vec::new(),
         }
     }
@@ -207,27 +207,20 @@ impl Network {
         self
     }
 
-    /// Discovers neighbours that are not described by their [beacons](Network::beacons): nodes of
-    /// these names get a link. Without names, this node only sends beacons of its own.
-    pub fn discover<'a>(mut self, nodes: impl IntoIterator<Item = &'a str>) -> Self {
-        let nodes = nodes.into_iter().map(str::to_owned);
-        self.discover = Some(Admitted::Only(nodes.collect()));
-        self
-    }
-
-    /// Discovers neighbours of any name by their beacons. On a sealed network these are the nodes
-    /// of the roster.
-    pub fn discover_anybody(mut self) -> Self {
-        self.discover = Some(Admitted::AnyNode);
-        self
-    }
-
     /// Announces this node's address every second by multicast, to a group such as
-    /// `239.255.0.1:7399`, and discovers nodes that do the same; neighbours need not be described
-    /// then. The nodes to admit are set by [`discover`](Network::discover) or
-    /// [`discover_anybody`](Network::discover_anybody). For UDP and TCP.
-    pub fn beacons(mut self, group: &str) -> Self {
-        self.beacons = Some(group.to_owned());
+    /// `239.255.0.1:7399`, and discovers neighbours that do the same and are not described: nodes of
+    /// these names get a link. Without names, this node only sends beacons of its own. For UDP and
+    /// TCP.
+    pub fn discover<'a>(mut self, group: &str, nodes: impl IntoIterator<Item = &'a str>) -> Self {
+        let nodes = nodes.into_iter().map(str::to_owned).collect();
+        self.discovery = Some(Discovery { group: group.to_owned(), nodes: Some(nodes) });
+        self
+    }
+
+    /// Does as [`discover`](Network::discover), and discovers neighbours of any name. On a sealed
+    /// network these are the nodes of the roster.
+    pub fn discover_anybody(mut self, group: &str) -> Self {
+        self.discovery = Some(Discovery { group: group.to_owned(), nodes: None });
         self
     }
 

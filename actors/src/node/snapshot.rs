@@ -2,7 +2,7 @@
 
 mod network;
 
-use super::{Node, NodeState};
+use super::Node;
 use crate::actuator::ActuatorRow;
 use crate::liveness::threads::{ThreadRow, ThreadState};
 use crate::platform;
@@ -27,18 +27,12 @@ pub(super) async fn document(node: &Node) -> Value {
     let own = join(in_time(node.table()), in_time(node.faults()));
     let (network, own) = join(network::NetworkParts::of(node), own).await;
     let (table, faults) = own;
-    let (seen_at, state) = (platform::now(), node.state());
+    let seen_at = platform::now();
     let faults = faults.as_ref();
     let entry = |entry: &FaultEntry| fault(entry, seen_at);
     let mut document = json!({
         "node": node.name().as_str(),
         "incarnation": node.incarnation().0,
-        "state": match state {
-            NodeState::Starting => "starting",
-            NodeState::Running => "running",
-            NodeState::InSafeState { .. } => "in safe state",
-            NodeState::Stopped => "stopped",
-        },
         "reason": null,
         "table": table.as_deref().map(|rows| rows_of(rows, object)),
         "threads": rows_of(&node.threads(), thread),
@@ -49,8 +43,9 @@ pub(super) async fn document(node: &Node) -> Value {
         "faults": faults.map(|record| rows_of(&record.entries, entry)),
         "faults_dropped": faults.map(|record| record.dropped),
     });
-    if let NodeState::InSafeState { reason } = state {
-        document["reason"] = reason.into();
+    // The state, and a reason where it has one.
+    if let (Value::Object(all), Value::Object(state)) = (&mut document, json!(node.state())) {
+        all.extend(state);
     }
     #[cfg(feature = "trees")]
     {

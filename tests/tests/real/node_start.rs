@@ -41,8 +41,8 @@ async fn fail_after_a_network(at: SocketAddr) {
         let wrong: [Box<dyn FnOnce(NodeBuilder) -> NodeBuilder>; 5] = [
             Box::new(beside(Network::new("cable", "serial:///dev/ttyS0?buad=9600"))),
             Box::new(beside(local().peer("n", "nowhere"))),
-            Box::new(beside(local().beacons("239.255.0.1:7399"))),
-            Box::new(beside(local().discover(["a name"]))),
+            Box::new(beside(local().discover("127.0.0.1:7399", ["n"]))),
+            Box::new(beside(local().discover("239.255.0.1:7399", ["a name"]))),
             Box::new(move |node| node.child(needy)),
         ];
         for (number, spoil) in wrong.into_iter().enumerate() {

@@ -1,6 +1,6 @@
 //! What can be known to be wrong with a network before anything is started.
 
-use super::{Admitted, Link, Medium, Network};
+use super::{Link, Medium, Network};
 use crate::net::keys::NodeKeys;
 use crate::node::error::StartError;
 use crate::platform;
@@ -93,13 +93,9 @@ impl Network {
     }
 
     /// The nodes that it names: its neighbours, and those that are discovered.
-    pub(in crate::node) fn named_nodes(&self) -> impl Iterator<Item = &str> + Clone {
-        let admitted = match &self.discover {
-            Some(Admitted::Only(nodes)) => nodes.as_slice(),
-            Some(Admitted::AnyNode) | None => &[],
-        };
-        let neighbours = self.links.iter().map(|link| link.neighbour.as_str());
-        neighbours.chain(admitted.iter().map(String::as_str))
+    pub(in crate::node) fn named_nodes(&self) -> impl Iterator<Item = &str> {
+        let admitted = self.discovery.iter().filter_map(|discovery| discovery.nodes.as_ref());
+        self.neighbours().chain(admitted.flatten().map(String::as_str))
     }
 
     /// What people call its links.

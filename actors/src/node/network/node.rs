@@ -1,11 +1,10 @@
 //! The methods of a node that concern its networks: what it sees of other nodes, waits for, claims,
 //! isolates and orders there.
 
-use super::Cable;
+use super::{Cable, NetworkRow};
 use crate::directory::{Claim, ClaimError, ClaimPolicy, ClaimRow, Holder, NameWatch, NodeRow};
 use crate::net::RosterRow;
 use crate::net::operator::{self, KeyStatus, OrderError};
-use crate::node::network_rows::NetworkRow;
 use crate::node::order::{COMPONENTS, ComponentOrder, OrderReply};
 use crate::node::{Node, NodeState};
 use crate::platform;
@@ -92,26 +91,20 @@ impl Node {
 
     /// All links, in the order in which they were described; none without a network.
     pub async fn links(&self) -> Vec<LinkRow> {
-        match &self.0.networks {
-            Some(networks) => networks.handle.read_links().await,
-            None => Vec::new(),
-        }
+        let Some(networks) = &self.0.networks else { return Vec::new() };
+        networks.handle.read_links().await
     }
 
     /// What the medium of each network has carried and lost, and what waits for it now.
     pub(in crate::node) async fn media(&self) -> Vec<(Arc<str>, TransportCounters)> {
-        match &self.0.networks {
-            Some(networks) => networks.handle.read_media().await,
-            None => Vec::new(),
-        }
+        let Some(networks) = &self.0.networks else { return Vec::new() };
+        networks.handle.read_media().await
     }
 
     /// Every node that can be reached from here, and over which link.
     pub async fn routes(&self) -> Vec<Route> {
-        match &self.0.networks {
-            Some(networks) => networks.handle.read_routes().await.routes,
-            None => Vec::new(),
-        }
+        let Some(networks) = &self.0.networks else { return Vec::new() };
+        networks.handle.read_routes().await.routes
     }
 
     /// The roster that this node uses, with its serial number; none without keys.
@@ -122,10 +115,8 @@ impl Node {
     /// The sessions with other nodes: whether they stand, how much is under way, and what was lost,
     /// repeated, late or refused.
     pub async fn sessions(&self) -> Vec<SessionRow> {
-        match &self.0.networks {
-            Some(networks) => networks.handle.read_sessions().await,
-            None => Vec::new(),
-        }
+        let Some(networks) = &self.0.networks else { return Vec::new() };
+        networks.handle.read_sessions().await
     }
 
     /// Completes a row by what other nodes have.
@@ -226,19 +217,11 @@ impl Node {
     }
 
     fn missing(&self, names: &[&str], topics: &[&str]) -> Vec<(String, String)> {
-        let mut missing = Vec::new();
-        for name in names {
-            if let Some(why) = self.absence(name) {
-                missing.push(((*name).to_owned(), why));
-            }
-        }
-        for topic in topics {
-            if !self.0.environment.topics().is_heard(topic) {
-                let why = "no node listens to this topic".to_owned();
-                missing.push((format!("topic {topic}"), why));
-            }
-        }
-        missing
+        let absent =
+            names.iter().filter_map(|name| Some(((*name).to_owned(), self.absence(name)?)));
+        let unheard = topics.iter().filter(|topic| !self.0.environment.topics().is_heard(topic));
+        let why = "no node listens to this topic";
+        absent.chain(unheard.map(|topic| (format!("topic {topic}"), why.to_owned()))).collect()
     }
 
     /// Why a name cannot be sent to now.

@@ -1,7 +1,7 @@
 //! Starts the transports of a network that was described.
 
 use super::beacons::Beacons;
-use super::{Admitted, Cable, Link, Medium, Network};
+use super::{Cable, Discovery, Link, Medium, Network};
 use crate::net::{DiscoverySpec, LinkSpec, NetworkSpec};
 use crate::node::error::StartError;
 use crate::platform;
@@ -202,23 +202,10 @@ impl Network {
 
     /// Who is admitted, but for those that are described.
     pub(super) fn admission(&self) -> Result<Option<DiscoveryAdmission>, StartError> {
-        let name = &self.name;
-        match &self.discover {
-            None if self.beacons.is_some() => {
-                let text = format!("network {name}: say whom the beacons are for, by discover()");
-                Err(StartError::Network(text))
-            }
-            None => Ok(None),
-            Some(_) if self.beacons.is_none() => Err(StartError::Network(format!(
-                "network {name}: nodes are discovered by their beacons: give the network a group by \
-                 `.beacons(\"239.255.0.1:7399\")`, or describe each neighbour by `.peer`"
-            ))),
-            Some(Admitted::AnyNode) => Ok(Some(DiscoveryAdmission::AnyNode)),
-            Some(Admitted::Only(nodes)) => {
-                let nodes: Result<_, _> = nodes.iter().map(|node| NodeName::new(node)).collect();
-                let of = format!("the name of a node that network {name} is discovered by");
-                Ok(Some(DiscoveryAdmission::Only(nodes.map_err(StartError::name_of(of))?)))
-            }
-        }
+        let Some(Discovery { nodes, .. }) = &self.discovery else { return Ok(None) };
+        let Some(nodes) = nodes else { return Ok(Some(DiscoveryAdmission::AnyNode)) };
+        let nodes: Result<_, _> = nodes.iter().map(|node| NodeName::new(node)).collect();
+        let of = format!("the name of a node that network {} is discovered by", self.name);
+        Ok(Some(DiscoveryAdmission::Only(nodes.map_err(StartError::name_of(of))?)))
     }
 }

@@ -5,7 +5,10 @@ use crate::scenarios::puppet::{
 };
 use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
-use blastema::{ComponentOrder, NodeBuilder, OrderVerb, RemoveError, SpecError, Subtree};
+use blastema::{
+    ComponentOrder, Incarnation, NodeBuilder, OrderVerb, RemoveError, RestartedChild, SpecError,
+    Subtree,
+};
 use blastema_testkit::TestNode;
 use std::time::Duration;
 
@@ -85,7 +88,8 @@ async fn a_supervisor_is_added_with_all_below_it_and_is_kept_like_any_other() {
     let again = ["-last#1", "-deep#1", "-left#1", "+left#2", "+deep#2", "+right#2", "+last#2"];
     assert_eq!(begins_and_ends(&strings), again);
     node.expect_no_faults().await;
-    assert_eq!(node.restart_child("group").await.unwrap().incarnation().map(|i| i.0), Some(2));
+    let restarted = node.restart_child("group").await.unwrap();
+    assert_eq!(restarted, RestartedChild::Running(Incarnation(2)));
     assert_eq!(incarnation(&node, "last").await, 3);
     strings.diary();
 
