@@ -60,6 +60,8 @@ pub enum FaultKind {
     /// Something that a component needs to begin its work, such as its device, is not there yet. It
     /// tries again by itself, for as long as that takes.
     Unavailable,
+    /// Another node's process dies and is started again, over and over.
+    CrashLoop,
     /// No thread of this node ran for a while: its process was stopped, or its computer stood
     /// still. What it finds of links and other nodes just then is a symptom of that.
     NodePaused,
@@ -100,7 +102,7 @@ impl fmt::Display for Severity {
 
 /// What is known of the built-in kinds, in the order of their codes: code, text, severity, and
 /// whether what depends on the place of such a fault suffers from it.
-static BUILT_IN: [(FaultKind, &str, &str, Severity, bool); 26] = {
+static BUILT_IN: [(FaultKind, &str, &str, Severity, bool); 27] = {
     use FaultKind::*;
     use Severity::{Critical, Error, Warning};
     [
@@ -126,6 +128,7 @@ static BUILT_IN: [(FaultKind, &str, &str, Severity, bool); 26] = {
         (StateLost, "B20", "state lost", Critical, false),
         (ServiceUnavailable, "B21", "service unavailable", Error, true),
         (Unavailable, "B22", "unavailable", Error, true),
+        (CrashLoop, "B23", "crash loop", Critical, true),
         (NodePaused, "B24", "node paused", Warning, false),
         (Insecure, "B25", "insecure", Warning, false),
         (Forbidden, "B26", "forbidden", Warning, false),

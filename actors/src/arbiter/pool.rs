@@ -4,8 +4,9 @@
 //! ones are counted by their culprits: a culprit that keeps too many gets no more, and where too
 //! many culprits keep some, the process itself has to be restarted.
 //!
-//! Incarnations are placed on threads that answer only. An incarnation that follows a hang has a
-//! thread for itself, so that a component that hangs again keeps no other.
+//! Incarnations are placed on threads that answer only, and one that waits on a thread which does
+//! not answer any more is moved to another before it begins. An incarnation that follows a hang has
+//! a thread for itself, so that a component that hangs again keeps no other.
 
 use super::heartbeat::ArbiterHeartbeat;
 use crate::platform;
@@ -15,7 +16,7 @@ use actix_rt::{Arbiter, ArbiterHandle, System};
 use blastema_core::sorted::SortedMap;
 use blastema_core::{Instant, ObjectName};
 use std::ops::Deref;
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, Weak};
 use std::time::Duration;
 use std::{fmt, io};
 
@@ -116,6 +117,9 @@ impl ArbiterSlot {
     }
 }
 
+/// An incarnation that is to begin on the arbiter that it is given.
+pub(crate) type PendingIncarnation = Box<dyn FnOnce(ArbiterSlot) + Send>;
+
 /// How many threads each culprit has kept for good.
 pub(crate) type LostThreads = SortedMap<ObjectName, usize>;
 
@@ -143,6 +147,8 @@ struct Pool {
     own: Vec<ArbiterSlot>,
     /// Threads that were given up and have not come back.
     kept: Vec<KeptThread>,
+    /// Incarnations that were sent to a shared thread and may still wait there.
+    pending: Vec<(ArbiterSlot, Weak<Mutex<Option<PendingIncarnation>>>)>,
     /// The node has ended: a next incarnation whose arbiter went finds no place.
     stopped: bool,
 }
@@ -276,6 +282,48 @@ impl ArbiterPool {
         Err(io::Error::other(reason))
     }
 
+    /// Has an incarnation begin on `slot`; on another shared thread if that one does not answer.
+    pub(crate) fn start_on(&self, slot: ArbiterSlot, incarnation: PendingIncarnation) {
+        let waiting = Arc::new(Mutex::new(Some(incarnation)));
+        if !slot.own_thread && self.0.shared > 0 {
+            lock(&self.0.pool).pending.push((slot.clone(), Arc::downgrade(&waiting)));
+        }
+        let handle = slot.handle.clone();
+        handle.spawn_fn(move || {
+            let incarnation = lock(&waiting).take();
+            if let Some(incarnation) = incarnation {
+                incarnation(slot);
+            }
+        });
+    }
+
+    /// Moves the incarnations that wait on threads which do not answer.
+    pub(crate) fn move_pending(&self, now: Instant) {
+        let mut pool = lock(&self.0.pool);
+        if pool.pending.is_empty() {
+            return;
+        }
+        let waiting = std::mem::take(&mut pool.pending);
+        let mut moved = Vec::new();
+        for (slot, incarnation) in waiting {
+            let Some(kept) = incarnation.upgrade() else { continue };
+            let mut kept = lock(&kept);
+            if kept.is_none() {
+                continue;
+            }
+            if slot.answers(now) {
+                pool.pending.push((slot, incarnation));
+                continue;
+            }
+            match self.place_in(&mut pool, None) {
+                Ok(other) => moved.extend(kept.take().map(|incarnation| (other, incarnation))),
+                Err(_) => pool.pending.push((slot, incarnation)),
+            }
+        }
+        drop(pool);
+        moved.into_iter().for_each(|(slot, incarnation)| self.start_on(slot, incarnation));
+    }
+
     fn start(&self, own_thread: Option<ThreadScheduling>) -> io::Result<ArbiterSlot> {
         if let (None, Some(system)) = (System::try_current(), &self.0.system) {
             System::set_current(system.clone());
@@ -379,7 +427,7 @@ impl ArbiterPool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::sync::mpsc::{Sender, channel};
+    use std::sync::mpsc::{Receiver, Sender, channel};
 
     /// For threads of a busy computer.
     const PATIENCE: Duration = Duration::from_secs(30);
@@ -408,6 +456,14 @@ mod tests {
         });
         begins.recv_timeout(PATIENCE).expect("it begins");
         hold
+    }
+
+    /// Boards an incarnation that says on which thread it begins.
+    fn start_on(arbiters: &ArbiterPool, slot: &ArbiterSlot) -> Receiver<u64> {
+        let (begun, begins) = channel();
+        let incarnation = move |slot: ArbiterSlot| begun.send(slot.heartbeat.id()).unwrap();
+        arbiters.start_on(slot.clone(), Box::new(incarnation));
+        begins
     }
 
     /// Waits until the thread does not answer any more.
@@ -463,15 +519,37 @@ mod tests {
             System::new().block_on(async {
                 let arbiters = ArbiterPool::pool(1);
                 let slot = place(&arbiters);
-                drop(keep(&slot));
-                while slot.heartbeat.running().is_some() {
-                    std::thread::yield_now();
-                }
+                let begun = start_on(&arbiters, &slot).recv_timeout(PATIENCE);
+                assert_eq!(begun, Ok(slot.heartbeat.id()), "it has begun to beat");
                 let late = platform::now() + Duration::from_secs(3600);
 
                 assert!(slot.answers(late), "it waits for a processor");
                 slot.heartbeat.run(Some(0));
                 assert!(!slot.answers(late), "a component keeps it");
+                arbiters.stop();
+            });
+        }
+
+        #[test]
+        fn an_incarnation_that_waits_on_a_thread_which_does_not_answer_is_moved_and_begins_once() {
+            let _turn = blastema_doubles::turn();
+            System::new().block_on(async {
+                let arbiters = ArbiterPool::pool(1);
+                let slot = place(&arbiters);
+                let hold = keep(&slot);
+                let begins = start_on(&arbiters, &slot);
+                arbiters.move_pending(slot.heartbeat.last_beat().expect("it has beaten"));
+                until_silent(&slot).await;
+                assert!(begins.try_recv().is_err(), "it waits");
+
+                arbiters.move_pending(platform::now());
+
+                let begun = begins.recv_timeout(PATIENCE).expect("it begins");
+                assert_ne!(begun, slot.heartbeat.id());
+                drop(hold);
+                let after = start_on(&arbiters, &slot);
+                assert_eq!(after.recv_timeout(PATIENCE), Ok(slot.heartbeat.id()));
+                assert!(begins.try_recv().is_err(), "once");
                 arbiters.stop();
             });
         }

@@ -141,12 +141,12 @@ impl<C: Component> Child for ComponentChild<C> {
         let cell = Some(self.cell.clone());
         let pending = PendingStart { cell, incarnation, report, control };
         self.arbiter = Some(arbiter.clone());
-        let handle = arbiter.handle.clone();
-        handle.spawn_fn(move || {
+        let begin = move |arbiter| {
             if let Some(executor) = pending.enter(arbiter) {
                 actix_rt::spawn(executor);
             }
-        });
+        };
+        arbiters.start_on(arbiter, Box::new(begin));
         incarnation
     }
 

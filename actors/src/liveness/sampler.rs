@@ -407,6 +407,7 @@ impl Sampler {
             *lock(&self.list.0.last) = LastLook { busy, signs, arbiters };
         }
         self.samples += 1;
+        self.arbiters.move_pending(now);
         while let Some(event) = self.scanner.poll_output() {
             // It may have come back just now; then its components stay.
             let stays = match &event {

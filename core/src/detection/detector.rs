@@ -9,7 +9,7 @@ use crate::{
     Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant, Lifecycle, Machine, NodeName,
     ObjectName,
 };
-use offence_history::OffenceHistory;
+use node_history::NodeHistories;
 use pause::Pause;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -33,7 +33,7 @@ pub struct Detector {
     objects: SortedMap<ObjectName, Seen>,
     needs: DependencyIndex,
     fault_log: FaultLog,
-    offences: OffenceHistory,
+    nodes: NodeHistories,
     /// The latest pause of this node, while links and nodes may suffer from it.
     pause: Option<Pause>,
     outputs: VecDeque<DetectorOutput>,
@@ -141,7 +141,7 @@ impl Detector {
             objects: SortedMap::new(),
             needs: DependencyIndex::new(node),
             fault_log: FaultLog::new(FAULTS_ON_RECORD),
-            offences: OffenceHistory::default(),
+            nodes: NodeHistories::default(),
             pause: None,
             outputs: VecDeque::new(),
             last_id: 0,
@@ -514,7 +514,8 @@ impl Machine for Detector {
     fn poll_timeout(&self) -> Option<Instant> {
         let pause = self.pause.as_ref().map(|pause| pause.until);
         let end = self.fault_log.next_end().map(|(due, _)| due);
-        end.into_iter().chain(pause).min()
+        let calm = self.nodes.next_calm().map(|(due, _)| due);
+        [end, calm, pause].into_iter().flatten().min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
@@ -523,11 +524,16 @@ impl Machine for Detector {
         {
             self.end_unhanded(id, now);
         }
+        while let Some((due, node)) = self.nodes.next_calm()
+            && due <= now
+        {
+            self.end_crash_loop(&node.clone(), now);
+        }
         self.end_pause(now);
     }
 }
 
-mod offence_history;
+mod node_history;
 mod pause;
 mod rules;
 #[cfg(test)]

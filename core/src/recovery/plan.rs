@@ -124,6 +124,8 @@ impl Default for Plan {
             FaultKind::CommanderGone => observe.clone(),
             // A user, or the application, brings it back.
             FaultKind::NodeInSafeState => observe.clone(),
+            // The robot's service manager decides whether its process is started again.
+            FaultKind::CrashLoop => observe.clone(),
             // It is over when it is found.
             FaultKind::NodePaused => observe.clone(),
             // The user has accepted it.
@@ -299,6 +301,7 @@ fn check_ladder(
         FaultKind::NodeLost
             | FaultKind::NodeFaulty
             | FaultKind::NodeInSafeState
+            | FaultKind::CrashLoop
             | FaultKind::NodePaused
     );
     let network = link || node;
@@ -501,7 +504,7 @@ mod tests {
             let own = [FaultKind::Custom("GRIP".into())];
             let works = plan.check(&[name("laser")], &own, ["homing"]).is_ok();
             // B11 to B13 link down, link degraded, node lost; then what else befalls a node.
-            let network = ["B11", "B12", "B13", "B15", "B18", "B24"];
+            let network = ["B11", "B12", "B13", "B15", "B18", "B23", "B24"];
             assert_eq!(works, network.contains(&kind.code()), "{kind}");
         }
         let grip = FaultKind::Custom("GRIP".into());

@@ -46,8 +46,47 @@ fn a_process_plays_its_role() {
             "carrier2" => carry_counter(2).await,
             "carrier3" => carry_counter(3).await,
             "keeper" => keep_books().await,
+            "bystander" => stand_by().await,
             other => panic!("there is no role {other}"),
         }
+    });
+}
+
+async fn stand_by() {
+    let _node = Node::builder("module1").network(ethernet(&addresses(), 1)).start().await.unwrap();
+    std::future::pending::<()>().await;
+}
+
+#[test]
+fn a_node_that_is_killed_and_started_over_and_over_is_one_fault_that_stands() {
+    let Some(_turn) = blastema_doubles::turn_if_long() else { return };
+    let addresses = free_addresses(2);
+    blastema::run(async {
+        let node = Node::builder("module0").network(ethernet(&addresses, 0)).start().await.unwrap();
+        let of_kind = async |kind: FaultKind| {
+            let record = node.faults().await;
+            record.entries.into_iter().filter(|e| e.fault.kind == kind).collect::<Vec<_>>()
+        };
+        for restarts in 0..5 {
+            let mut process = start("bystander", &addresses);
+            let seen = async || {
+                node.table().await.iter().any(|row| {
+                    let here = row.location.to_string() == "module1";
+                    here && row.restarts == restarts && row.incarnation.0 > 0
+                })
+            };
+            until(seen, "it is seen each time").await;
+            process.kill();
+        }
+
+        let found = of_kind(FaultKind::CrashLoop).await;
+        assert_eq!(found.len(), 1, "{found:?}");
+        assert!(found[0].stands(), "{found:?}");
+        assert_eq!(
+            (found[0].fault.count, found[0].fault.location.to_string().as_str()),
+            (2, "module1")
+        );
+        node.shutdown().await;
     });
 }
 

@@ -43,7 +43,8 @@ impl<C: Component> ComponentExecutor<C> {
         self.service.name()
     }
 
-    /// This incarnation has ended by a panic. Begins the next one where the supervisor has granted that.
+    /// This incarnation has ended by a panic. Begins the next one where the supervisor has granted
+    /// that.
     #[cold]
     pub(super) fn died(&mut self, payload: Box<dyn Any + Send>, during: &'static str) {
         let panics::PanicRecord { text, at } = panics::read(payload);
@@ -58,7 +59,10 @@ impl<C: Component> ComponentExecutor<C> {
         self.state.token.end();
         self.lose_message();
         self.dispose_of_all(Blame::Log);
-        let may_restart = !self.lifecycle.is_ending() && self.cell.record.take_grant();
+        // The grant is the present incarnation's, and not of one that was abandoned.
+        let may_restart = !self.lifecycle.is_ending()
+            && self.cell.queue.owner() == Some(incarnation)
+            && self.cell.record.take_grant();
         let restarted_as = may_restart.then(|| incarnation.next());
         let mine = match restarted_as {
             Some(next) => self.cell.queue.pass_on(incarnation, next),

@@ -1,12 +1,12 @@
 //! Hangs, fences, lost arbiters; silence and waiting.
 
-use super::{ChildOrder, Log, Stage, acc, logged};
+use super::{ChildOrder, GRANT, Log, Stage, acc, logged};
 use crate::arbiter::pool::ArbiterPool;
 use crate::liveness::sampler;
 use crate::liveness::sampler::SamplerGuard;
 use crate::{
-    ChildSpec, Component, Context, DeliveryError, Event, Handle, Incarnation, ObjectName, Ports,
-    Sender,
+    ChildSpec, Component, Context, DeliveryError, Down, Event, Failure, Handle, Incarnation,
+    ObjectName, Ports, Sender,
 };
 use blastema_contract::child::ChildEvent;
 use blastema_contract::reports::LivenessReported;
@@ -200,6 +200,36 @@ impl Handle<Hold> for Witness {
     }
 }
 
+/// Panics on what it hears. What is left of its first incarnation blocks when it is dropped.
+struct Clingy(Option<Gate>);
+impl Component for Clingy {}
+impl Handle<Said> for Clingy {
+    async fn handle(&mut self, Said(n): Said, _: &mut Context<Self>) {
+        panic!("{n} breaks it");
+    }
+}
+impl Drop for Clingy {
+    fn drop(&mut self) {
+        if let Some(gate) = self.0.take() {
+            gate.lock().unwrap().recv().unwrap();
+        }
+    }
+}
+
+/// Has heard how the component that it watches has ended.
+struct Watcher(Log);
+impl Component for Watcher {
+    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        cx.watch("clingy").map_err(|error| error.to_string())?;
+        Ok(())
+    }
+}
+impl Handle<Down> for Watcher {
+    async fn handle(&mut self, down: Down, _: &mut Context<Self>) {
+        self.0.lock().unwrap().push(down.incarnation.0);
+    }
+}
+
 fn watched() -> (Stage, Probe<LivenessReported>, SamplerGuard) {
     let (stage, sighted) = (Stage::new(), Probe::start());
     let environment = &stage.environment;
@@ -345,6 +375,37 @@ mod real {
             site.open.send(()).unwrap();
             site.until("the thread ends", || arbiters.abandoned() == 0).await;
             arbiters.stop();
+        });
+    }
+
+    #[test]
+    fn a_drop_that_blocks_after_a_panic_is_a_hang_and_the_component_is_replaced() {
+        let _turn = blastema_doubles::turn();
+        actix_rt::System::new().block_on(async {
+            let site = Site::new(1, Duration::from_millis(100)).await;
+            let first = Mutex::new(Some(site.gate.clone()));
+            let spec = ChildSpec::new("clingy", move || Clingy(first.lock().unwrap().take()));
+            let spec = spec.max_block(Duration::from_millis(100));
+            let (mut child, clingy) = site.stage.start(spec).await;
+            child.order(GRANT);
+            let ended = Log::default();
+            let told = ended.clone();
+            let spec = ChildSpec::new("watcher", move || Watcher(told.clone())).on_own_thread();
+            let (_watcher, _) = site.stage.start(spec).await;
+
+            clingy.tell(Said(7)).unwrap();
+            let (culprit, incarnation, _, _) = site.hangs().await;
+            assert_eq!((culprit, incarnation), (name("clingy"), Incarnation(1)));
+            child.order(ChildOrder::GrantRestart(false));
+            child.order(ChildOrder::Abandon);
+            site.until("its watcher is told", || logged(&ended) == [1]).await;
+            assert_eq!(site.stage.begin(&mut *child, 2).await, ChildEvent::Started);
+
+            site.open.send(()).unwrap();
+            clingy.tell(Said(8)).unwrap();
+            let exited = site.stage.exits.wait(|exited| exited.object == name("clingy")).await;
+            assert_eq!((exited.incarnation, exited.restarted_as), (Incarnation(2), None));
+            site.stage.environment.arbiters.stop();
         });
     }
 

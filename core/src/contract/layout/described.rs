@@ -239,7 +239,7 @@ describe! {
         Panic, UnexpectedExit, Hang, Silence, ErrorState, InitializationFailed, Fatal, CheckFailed,
         Overload, ContractMismatch, LinkDown, LinkDegraded, NodeLost, RestartStorm,
         NodeFaulty, NameTaken, CommanderGone, NodeInSafeState, Unreplicated,
-        StateLost, ServiceUnavailable, Unavailable, NodePaused, Insecure, Forbidden,
+        StateLost, ServiceUnavailable, Unavailable, CrashLoop, NodePaused, Insecure, Forbidden,
         ConnectionLost, Custom(Arc<str>),
     }
 }

@@ -1,5 +1,6 @@
 //! What each finding means: the detector's opinion of objects, links and nodes.
 
+use super::node_history::PERIOD;
 use super::{AFTER_PAUSE, Cause, Detector, HINDSIGHT, Scene, Seen};
 use crate::detection::{ExitReason, Finding, LinkCondition, NodeCondition, OverloadFigures};
 use crate::{
@@ -293,8 +294,12 @@ impl Detector {
             return;
         };
         match condition {
-            NodeCondition::Reachable => self.end_kind(&scene, &FaultKind::NodeLost),
+            NodeCondition::Reachable => {
+                self.nodes.handle_reachable(&node, true, scene.at);
+                self.end_kind(&scene, &FaultKind::NodeLost);
+            }
             NodeCondition::Left | NodeCondition::Removed => {
+                self.end_crash_loop(&node, scene.at);
                 self.end_kind(&scene, &FaultKind::NodeLost);
                 self.end_kind(&scene, &FaultKind::NodeInSafeState);
                 self.end_kind(&scene, &FaultKind::ConnectionLost);
@@ -308,7 +313,9 @@ impl Detector {
             // They are no findings.
             NodeCondition::Listed | NodeCondition::MayBeAway => {}
             NodeCondition::Lost { reason } => {
-                let cause = self.pause_or(Cause::Itself);
+                self.nodes.handle_reachable(&node, false, scene.at);
+                let cause = self.crash_loop_of(&scene);
+                let cause = self.pause_or(cause);
                 self.find(&scene, FaultKind::NodeLost, reason, cause);
             }
             NodeCondition::Paused { span } => self.judge_pause(&scene, span),
@@ -323,7 +330,7 @@ impl Detector {
             }
             NodeCondition::Relieved => self.end_overload(&scene),
             NodeCondition::Offends { what } => {
-                if let Some(detail) = self.offences.handle_offence(&node, what, scene.at) {
+                if let Some(detail) = self.nodes.handle_offence(&node, what, scene.at) {
                     self.find(&scene, FaultKind::NodeFaulty, detail, Cause::Itself);
                 }
             }
@@ -332,7 +339,7 @@ impl Detector {
                 self.find(&scene, FaultKind::NodeFaulty, detail, Cause::Itself);
             }
             NodeCondition::Admitted => {
-                self.offences.handle_admitted(&node);
+                self.nodes.handle_admitted(&node);
                 self.end_kind(&scene, &FaultKind::NodeFaulty);
             }
             NodeCondition::MessagesLost { detail } => {
@@ -342,10 +349,18 @@ impl Detector {
             NodeCondition::InSession => self.end_kind(&scene, &FaultKind::ConnectionLost),
             NodeCondition::Restarted => {
                 self.end_kind(&scene, &FaultKind::NodeInSafeState);
+                if let Some(count) = self.nodes.handle_restarted(&node, scene.at) {
+                    let detail = format!(
+                        "its process died and was started again {count} times, and never stayed \
+                         up for {PERIOD:?}"
+                    );
+                    self.find(&scene, FaultKind::CrashLoop, detail, Cause::Itself);
+                }
                 let known = self.fault_log.open_fault(&scene.location, &FaultKind::NodeLost);
                 let id = known.unwrap_or_else(|| {
                     let detail = "its process died and began again".into();
-                    self.record(&scene, FaultKind::NodeLost, detail, Cause::Itself)
+                    let cause = self.crash_loop_of(&scene);
+                    self.record(&scene, FaultKind::NodeLost, detail, cause)
                 });
                 self.recover(id, scene.at);
                 self.end(id, scene.at);
@@ -372,6 +387,20 @@ impl Detector {
         };
         let mut causes = self.fault_log.latest_first().filter(is_cause).filter(lately);
         causes.next().map_or(Cause::Itself, |fault| Cause::Known(fault.id))
+    }
+
+    /// A node has ended in order, or has stayed up for long enough: it is in a crash loop no more.
+    pub(super) fn end_crash_loop(&mut self, node: &NodeName, at: Instant) {
+        self.nodes.forget_restarts(node);
+        let location = FaultLocation::Node(node.clone());
+        let scene = Scene { location, incarnation: Incarnation::default(), at };
+        self.end_kind(&scene, &FaultKind::CrashLoop);
+    }
+
+    /// A death in a crash loop is a symptom of that.
+    fn crash_loop_of(&self, scene: &Scene) -> Cause {
+        let known = self.fault_log.open_fault(&scene.location, &FaultKind::CrashLoop);
+        known.map_or(Cause::Itself, Cause::Known)
     }
 
     /// A node that leaves in order takes its ends of the cables along.

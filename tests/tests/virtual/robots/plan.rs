@@ -357,7 +357,8 @@ fn steps(random: &mut Random, parts: &[PartPlan], clock: Clock) -> Vec<Step> {
     steps
 }
 
-/// A component is isolated where it is restarted as a rule, or nothing is done.
+/// A component is isolated, or moved to a thread of its own, where it is restarted as a rule, or
+/// nothing is done.
 fn answers(random: &mut Random) -> Vec<(FaultKind, RecoveryAction)> {
     let kinds = [
         FaultKind::Panic,

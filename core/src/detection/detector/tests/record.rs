@@ -116,6 +116,36 @@ fn a_node_that_leaves_in_order_takes_the_faults_of_its_links_along() {
 }
 
 #[test]
+fn a_crash_loop_is_one_counted_fault_until_the_node_stays_up() {
+    let mut bench = Bench::new();
+    for incarnation in 1..=500 {
+        bench.now = at(incarnation * 444);
+        if incarnation % 2 == 0 {
+            bench.see("@n", Incarnation(incarnation), lost());
+        }
+        bench.see("@n", Incarnation(incarnation + 1), Finding::Node(NodeCondition::Restarted));
+        bench.outputs();
+    }
+    let of_kind = |bench: &Bench, kind| {
+        bench.entries().into_iter().filter(|entry| entry.fault.kind == kind).collect::<Vec<_>>()
+    };
+    let loops = of_kind(&bench, FaultKind::CrashLoop);
+    assert_eq!((loops.len(), loops[0].fault.count), (1, 498), "three restarts are the first");
+    assert!(loops[0].stands() && loops[0].fault.detail.contains("500 times"));
+    let deaths = of_kind(&bench, FaultKind::NodeLost);
+    assert!(deaths.iter().all(|entry| !entry.stands()));
+    let symptoms = deaths.iter().filter(|e| e.fault.symptom_of == Some(loops[0].fault.id));
+    assert!(symptoms.count() >= deaths.len() - 3);
+
+    let id = loops[0].fault.id.0;
+    let observed = RecoveryOutcome::Decided { action: "observe".into() };
+    bench.detector.handle_outcome(FaultId(id), bench.now, observed);
+    assert_eq!(bench.outputs(), [format!("Decided {id}")]);
+    assert!(bench.run_until(222_000 + 59_999).is_empty());
+    assert_eq!(bench.run_until(222_000 + 60_000), [format!("Cleared {id}"), format!("-{id}")]);
+}
+
+#[test]
 fn an_unnoticed_restart_of_a_node_is_found_and_recovered_at_once() {
     let mut bench = Bench::new();
 
