@@ -8,7 +8,7 @@ use blastema_contract::transport::MediumAddress;
 use blastema_core::detection::LinkCondition;
 use blastema_core::net::link::PeerRefusal;
 use blastema_core::net::wire::frame::NameHolder;
-use blastema_core::net::{LinkId, Quality};
+use blastema_core::net::{Link, LinkId, Quality};
 use blastema_core::{FaultKind, Incarnation};
 use std::time::Duration;
 use tracing::{error, warn};
