@@ -268,7 +268,7 @@ fn our_own_address_is_nobody_elses_and_a_neighbours_is_one_of_the_medium() {
             (own().peer("module1", "127.0.0.1:7401"), ["module1 is this node", "network eth"]),
             (own().peer("b", "127.0.0.1:7400"), ["our own address", "^^^"]),
             (own().link(Link::new("b", at("127.0.0.1:7400"))), ["our own address", "network eth"]),
-            (own().peer("b", "127.0.0.1:0"), ["port 0", "network eth"]),
+            (own().peer("b", "127.0.0.1:0"), ["no address of one neighbour", "network eth"]),
             (own().peer("b 2", "127.0.0.1:1"), ["neighbour on network eth", "' '"]),
         ] {
             refused(node().network(network), &words).await;
@@ -283,7 +283,7 @@ fn our_own_address_is_nobody_elses_and_a_neighbours_is_one_of_the_medium() {
         refused(node().network(serial.link(Link::new("b", at("10.0.0.1:1")))), another).await;
         let memory = || Network::memory("mem", &MemoryMedium::default(), "a");
         let link = Link::new("b", at("10.0.0.1:1"));
-        refused(node().network(memory().link(link)), &["Link::in_memory"]).await;
+        refused(node().network(memory().link(link)), another).await;
         refused(node().network(memory().peer("b", "a")), &["our own address"]).await;
         refused(node().network(memory().peer("b", "")), &["write the name of its end"]).await;
         let nameless = Network::memory("mem", &MemoryMedium::default(), "");
