@@ -69,7 +69,7 @@ pub use frame_transport::FrameTransport;
 #[cfg(feature = "memory")]
 pub use memory::{Memory, MemoryConfig, MemoryMedium};
 #[cfg(feature = "serial")]
-pub use serial::{DirectionControl, Rs485, SerialConfig, SerialLine};
+pub use serial::{Rs485, SerialConfig, SerialLine};
 #[cfg(feature = "slcan")]
 pub use slcan::SlcanBus;
 #[cfg(feature = "tcp")]

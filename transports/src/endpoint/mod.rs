@@ -25,7 +25,9 @@ pub use self::host::NamedHost;
 use self::error::Wrong;
 use self::settings::{Settings, duration};
 #[cfg(feature = "serial")]
-use crate::serial::{DirectionControl, Parity, Rs485, SerialConfig, StopBits};
+use crate::serial::{Parity, Rs485, SerialConfig, StopBits};
+#[cfg(any(feature = "tcp", feature = "unix"))]
+use crate::stream::StreamLimits;
 #[cfg(feature = "tcp")]
 use crate::tcp::TcpConfig;
 #[cfg(feature = "udp")]
@@ -35,11 +37,14 @@ use crate::unix::UnixConfig;
 use blastema_contract::transport::MediumAddress;
 use blastema_core::net::routing::MTU_MIN;
 #[cfg(any(feature = "udp", feature = "tcp"))]
-use std::net::{IpAddr, SocketAddr};
+use std::net::IpAddr;
+use std::net::SocketAddr;
 #[cfg(feature = "udp")]
 use std::net::{Ipv4Addr, Ipv6Addr};
 use std::path::PathBuf;
 use std::str::FromStr;
+#[cfg(feature = "serial")]
+use std::time::Duration;
 
 /// The largest frame that any setting allows, in bytes: each receiver must be able to hold it.
 const MOST_BYTES: u64 = 1 << 24;
@@ -165,9 +170,9 @@ impl Endpoint {
     pub fn strangers(&self) -> usize {
         match self {
             #[cfg(feature = "tcp")]
-            Endpoint::Tcp(config) => config.strangers,
+            Endpoint::Tcp(config) => config.limits.strangers,
             #[cfg(feature = "unix")]
-            Endpoint::Unix(config) => config.strangers,
+            Endpoint::Unix(config) => config.limits.strangers,
             _ => 0,
         }
     }
@@ -264,6 +269,7 @@ pub fn is_interface(text: &str) -> bool {
 
 /// Reads an endpoint, of which `address` replaces the one that it names, and its setting
 /// `insecure`.
+#[cfg_attr(not(any(feature = "udp", feature = "tcp")), expect(unused_variables))]
 fn read(text: &str, address: Option<SocketAddr>) -> Result<(Endpoint, bool), Wrong<'_>> {
     let Some((medium, rest)) = text.split_once("://") else {
         let problem = "an endpoint begins with its medium, as in udp://0.0.0.0:7400";
@@ -274,6 +280,7 @@ fn read(text: &str, address: Option<SocketAddr>) -> Result<(Endpoint, bool), Wro
     let medium = media::find(&media::MEDIA, medium).map_err(|why| Wrong(medium, why))?;
     let mut settings = Settings::new(query)?;
     let at_place = |why| Wrong(place, why);
+    #[cfg(any(feature = "udp", feature = "tcp"))]
     let own = || address.map_or_else(|| ip(place), Ok).map_err(at_place);
     let path = |example| path(place, example).map_err(at_place);
     let endpoint = match medium {
@@ -298,7 +305,9 @@ fn read(text: &str, address: Option<SocketAddr>) -> Result<(Endpoint, bool), Wro
 fn path(text: &str, example: &str) -> Result<PathBuf, String> {
     match text.starts_with('/') && !text.contains('\0') {
         true => Ok(text.into()),
-        false => Err(format!("a path begins with a slash, as in {example}, and holds no zero byte")),
+        false => {
+            Err(format!("a path begins with a slash, as in {example}, and holds no zero byte"))
+        }
     }
 }
 
@@ -340,7 +349,7 @@ fn udp<'a>(address: SocketAddr, settings: &mut Settings<'a>) -> Result<Endpoint,
         config.group = Some(address);
     }
     config.interface = interface(settings)?;
-    config.mtu = largest_frame(settings, 65_507)?;
+    config.mtu = settings.given("mtu", LEAST_BYTES..=65_507)?;
     settings.number("receive_buffer", 4_096..=1 << 30, &mut config.receive_buffer)?;
     settings.number("send_buffer", 4_096..=1 << 30, &mut config.send_buffer)?;
     settings.number("queue_frames", 1..=65_536, &mut config.queue_frames)?;
@@ -351,24 +360,20 @@ fn udp<'a>(address: SocketAddr, settings: &mut Settings<'a>) -> Result<Endpoint,
 fn tcp<'a>(bind: SocketAddr, settings: &mut Settings<'a>) -> Result<Endpoint, Wrong<'a>> {
     let interface = interface(settings)?;
     let mut config = TcpConfig { bind, interface, ..TcpConfig::default() };
-    let TcpConfig { mtu, peers, strangers, queue_bytes, .. } = &mut config;
-    connections(settings, [mtu, peers, strangers, queue_bytes])?;
-    settings.span("connect_timeout", &mut config.connect_timeout)?;
-    settings.span("hello_timeout", &mut config.hello_timeout)?;
+    limits(settings, &mut config.limits)?;
     settings.span("user_timeout", &mut config.user_timeout)?;
     Ok(Endpoint::Tcp(config))
 }
 
-/// How much a medium of connections holds: `mtu`, `peers`, `strangers` and `queue_bytes`.
+/// How much a medium of connections holds, and how long it waits for peers.
 #[cfg(any(feature = "tcp", feature = "unix"))]
-fn connections<'a>(
-    settings: &mut Settings<'a>,
-    [mtu, peers, strangers, queue_bytes]: [&mut usize; 4],
-) -> Result<(), Wrong<'a>> {
-    settings.number("mtu", LEAST_BYTES..=MOST_BYTES, mtu)?;
-    settings.number("peers", 1..=65_536, peers)?;
-    settings.number("strangers", 1..=65_536, strangers)?;
-    settings.number("queue_bytes", LEAST_BYTES..=1 << 30, queue_bytes)
+fn limits<'a>(settings: &mut Settings<'a>, limits: &mut StreamLimits) -> Result<(), Wrong<'a>> {
+    settings.number("mtu", LEAST_BYTES..=MOST_BYTES, &mut limits.mtu)?;
+    settings.number("peers", 1..=65_536, &mut limits.peers)?;
+    settings.number("strangers", 1..=65_536, &mut limits.strangers)?;
+    settings.number("queue_bytes", LEAST_BYTES..=1 << 30, &mut limits.queue_bytes)?;
+    settings.span("connect_timeout", &mut limits.connect_timeout)?;
+    settings.span("hello_timeout", &mut limits.hello_timeout)
 }
 
 #[cfg(feature = "unix")]
@@ -382,17 +387,14 @@ fn unix<'a>(path: PathBuf, settings: &mut Settings<'a>) -> Result<Endpoint, Wron
         text.split(',').map(|user| user.parse().ok()).collect()
     })?;
     config.users = users.unwrap_or_default();
-    let UnixConfig { mtu, peers, strangers, queue_bytes, .. } = &mut config;
-    connections(settings, [mtu, peers, strangers, queue_bytes])?;
-    settings.span("connect_timeout", &mut config.connect_timeout)?;
-    settings.span("hello_timeout", &mut config.hello_timeout)?;
+    limits(settings, &mut config.limits)?;
     Ok(Endpoint::Unix(config))
 }
 
 #[cfg(feature = "serial")]
 fn serial<'a>(path: PathBuf, settings: &mut Settings<'a>) -> Result<Endpoint, Wrong<'a>> {
     let mut config = SerialConfig::new(path);
-    settings.number("baud", BAUD, &mut config.baud)?;
+    config.baud = settings.given("baud", BAUD)?;
     let parities = [("none", Parity::None), ("odd", Parity::Odd), ("even", Parity::Even)];
     settings.choice("parity", &parities, &mut config.parity)?;
     settings.choice(
@@ -404,24 +406,25 @@ fn serial<'a>(path: PathBuf, settings: &mut Settings<'a>) -> Result<Endpoint, Wr
     let flows = [("none", false), ("hardware", true)];
     settings.choice("flow", &flows, &mut config.hardware_flow)?;
     config.rs485 = rs485(settings)?;
-    if matches!(config.rs485, DirectionControl::Driver(_)) && config.hardware_flow {
+    if config.rs485.is_some() && config.hardware_flow {
         settings.contradiction("flow", "RTS turns the line with rs485=true: leave flow out")?;
     }
-    config.mtu = largest_frame(settings, 65_535)?;
+    config.mtu = settings.given("mtu", LEAST_BYTES..=65_535)?;
     settings.span("queue_time", &mut config.queue_time)?;
     Ok(Endpoint::Serial(config))
 }
 
-/// Whether and how the driver turns the line.
+/// How the driver turns the line, if it does.
 #[cfg(feature = "serial")]
-fn rs485<'a>(settings: &mut Settings<'a>) -> Result<DirectionControl, Wrong<'a>> {
-    let turns = settings.take("rs485", "true or false", |text| text.parse().ok())?;
-    if turns != Some(true) {
+fn rs485<'a>(settings: &mut Settings<'a>) -> Result<Option<Rs485>, Wrong<'a>> {
+    let mut turns = false;
+    settings.switch("rs485", &mut turns)?;
+    if !turns {
         for key in ["rts", "rts_before", "rts_after"] {
             let why = "RTS is the driver's where it turns a line of RS-485: add rs485=true";
             settings.contradiction(key, why)?;
         }
-        return Ok(turns.map_or(DirectionControl::Unchanged, |_| DirectionControl::Off));
+        return Ok(None);
     }
     let mut how = Rs485::default();
     settings.choice("rts", &[("high", false), ("low", true)], &mut how.rts_low)?;
@@ -432,7 +435,7 @@ fn rs485<'a>(settings: &mut Settings<'a>) -> Result<DirectionControl, Wrong<'a>>
         })?;
         *target = span.unwrap_or(*target);
     }
-    Ok(DirectionControl::Driver(how))
+    Ok(Some(how))
 }
 
 /// What serial ports of today can, with room above, in bits a second.
@@ -501,13 +504,6 @@ fn can_node<'a>(settings: &mut Settings<'a>, node: &mut CanNodeConfig) -> Result
     })?;
     node.separation = separation.unwrap_or(node.separation);
     Ok(())
-}
-
-#[cfg(any(feature = "udp", feature = "serial"))]
-fn largest_frame<'a>(settings: &mut Settings<'a>, most: u64) -> Result<Option<usize>, Wrong<'a>> {
-    let mut mtu = 0;
-    settings.number("mtu", LEAST_BYTES..=most, &mut mtu)?;
-    Ok((mtu > 0).then_some(mtu))
 }
 
 #[cfg(test)]

@@ -48,6 +48,19 @@ impl<'a> Settings<'a> {
         parse(value).map(Some).ok_or_else(|| Wrong(value, problem()))
     }
 
+    /// A whole number, if one is given.
+    pub(super) fn given<T: TryFrom<u64>>(
+        &mut self,
+        key: &'static str,
+        range: RangeInclusive<u64>,
+    ) -> Result<Option<T>, Wrong<'a>> {
+        let expected = format!("a whole number from {} to {}", range.start(), range.end());
+        self.take(key, expected, |text| {
+            let number = text.parse().ok().filter(|number| range.contains(number))?;
+            T::try_from(number).ok()
+        })
+    }
+
     /// Puts a whole number in place of `target`, if one is given.
     pub(super) fn number<T: TryFrom<u64>>(
         &mut self,
@@ -55,12 +68,7 @@ impl<'a> Settings<'a> {
         range: RangeInclusive<u64>,
         target: &mut T,
     ) -> Result<(), Wrong<'a>> {
-        let expected = format!("a whole number from {} to {}", range.start(), range.end());
-        let parse = |text: &str| {
-            let number = text.parse().ok().filter(|number| range.contains(number))?;
-            T::try_from(number).ok()
-        };
-        put(target, self.take(key, expected, parse)?);
+        put(target, self.given(key, range)?);
         Ok(())
     }
 

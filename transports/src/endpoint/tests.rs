@@ -67,9 +67,10 @@ fn tcp_is_read_with_all_its_settings() {
 
     assert_eq!(config.bind, "127.0.0.1:7400".parse().unwrap());
     assert_eq!(config.interface.as_deref(), Some("lo"));
-    let bounds = (config.mtu, config.peers, config.strangers, config.queue_bytes);
-    assert_eq!(bounds, (9_000, 3, 4, 5_000));
-    let times = [config.connect_timeout, config.hello_timeout, config.user_timeout];
+    let StreamLimits { mtu, peers, strangers, queue_bytes, .. } = config.limits;
+    assert_eq!((mtu, peers, strangers, queue_bytes), (9_000, 3, 4, 5_000));
+    let StreamLimits { connect_timeout, hello_timeout, .. } = config.limits;
+    let times = [connect_timeout, hello_timeout, config.user_timeout];
     assert_eq!(times.map(|time| time.as_millis()), [1_500, 2_000, 900]);
 }
 
@@ -83,9 +84,11 @@ fn unix_sockets_are_read_with_all_their_settings() {
     };
 
     assert_eq!(config.path, PathBuf::from("/run/a b.sock"));
-    assert_eq!((config.mode, config.mtu, config.peers), (0o660, 9_000, 3));
-    assert_eq!((config.strangers, config.queue_bytes), (4, 5_000));
-    assert_eq!((config.connect_timeout.as_secs(), config.hello_timeout.as_secs()), (1, 3));
+    let StreamLimits { mtu, peers, strangers, queue_bytes, .. } = config.limits;
+    assert_eq!((config.mode, mtu, peers), (0o660, 9_000, 3));
+    assert_eq!((strangers, queue_bytes), (4, 5_000));
+    let StreamLimits { connect_timeout, hello_timeout, .. } = config.limits;
+    assert_eq!((connect_timeout.as_secs(), hello_timeout.as_secs()), (1, 3));
 }
 
 #[test]
@@ -97,22 +100,19 @@ fn serial_lines_are_read_with_all_their_settings() {
         panic!()
     };
 
-    assert_eq!((config.path, config.baud), (PathBuf::from("/dev/ttyUSB0"), 921_600));
+    assert_eq!((config.path, config.baud), (PathBuf::from("/dev/ttyUSB0"), Some(921_600)));
     assert_eq!((config.parity, config.stop_bits), (Parity::Even, StopBits::Two));
     assert_eq!((config.hardware_flow, config.mtu), (true, Some(700)));
-    assert_eq!(
-        (config.queue_time, config.rs485),
-        (Duration::from_millis(50), DirectionControl::Unchanged)
-    );
+    assert_eq!((config.queue_time, config.rs485), (Duration::from_millis(50), None));
 
     let turned = "serial:///dev/ttyS0?rs485=true&rts=low&rts_before=1ms&rts_after=2ms";
     let Endpoint::Serial(config) = good(turned) else { panic!() };
-    let DirectionControl::Driver(how) = config.rs485 else { panic!("it was asked for") };
+    let how = config.rs485.expect("it was asked for");
     let times = (how.before, how.after);
     assert_eq!((how.rts_low, times), (true, (Duration::from_millis(1), Duration::from_millis(2))));
 
     let Endpoint::Serial(config) = good("serial:///dev/ttyS0?rs485=false") else { panic!() };
-    assert_eq!(config.rs485, DirectionControl::Off);
+    assert_eq!(config.rs485, None);
 }
 
 #[test]

@@ -218,7 +218,7 @@ impl Medium for OverSerial {
             self.1.set(self.1.get() + 1);
         }
         let mut config = SerialConfig::new(self.last());
-        (config.baud, config.mtu) = (50_000_000, Some(65_535));
+        (config.baud, config.mtu) = (Some(50_000_000), Some(65_535));
         let (address, panic) = start(FrameTransport::new(SerialLine::new(config, now)));
         Opened { transport: address.into(), wrapper: None, panic }
     }
