@@ -67,7 +67,7 @@ pub use crate::reach::Reach;
 pub use frame_medium::FrameMedium;
 pub use frame_transport::FrameTransport;
 #[cfg(feature = "memory")]
-pub use memory::{Memory, MemoryConfig, MemoryMedium};
+pub use memory::{Memory, MemoryMedium};
 #[cfg(feature = "serial")]
 pub use serial::{Rs485, SerialConfig, SerialLine};
 #[cfg(feature = "slcan")]

@@ -73,7 +73,7 @@ fn two_links_of_one_name_are_refused_before_anything_starts() {
             ActuatorTable::default(),
         );
         let exits = Probe::start();
-        let memory = Memory::new(MemoryConfig::new(&robot.medium, "x")).start();
+        let memory = Memory::new(&robot.medium, "x").start();
         let link = |to: &str| LinkSpec::new("same", MediumAddress::Memory(to.into()));
         let spec = NetworkSpec {
             name: "ethernet".into(),
