@@ -23,13 +23,13 @@ const MUTE: u8 = 100;
 /// All of its methods panic where the system has no ptys.
 pub struct Adapters {
     folder: TempDir,
-    plugged: Plugged,
+    plugged: AdapterList,
     /// The bus looks at its adapters when a byte comes here, and ends when it is closed.
     wake: Option<OwnedFd>,
     bus: Option<JoinHandle<()>>,
 }
 
-type Plugged = Arc<Mutex<Vec<Adapter>>>;
+type AdapterList = Arc<Mutex<Vec<Adapter>>>;
 
 struct Adapter {
     at: PathBuf,
@@ -48,7 +48,7 @@ impl Default for Adapters {
         let folder = TempDir::new().expect("a folder for the ports");
         let (woken, wake) = pipe_with(PipeFlags::CLOEXEC).expect("a pipe");
         rustix::io::ioctl_fionbio(&woken, true).expect("a pipe");
-        let plugged = Plugged::default();
+        let plugged = AdapterList::default();
         let on_bus = plugged.clone();
         let bus = std::thread::spawn(move || run(&on_bus, &woken));
         Adapters { folder, plugged, wake: Some(wake), bus: Some(bus) }
@@ -108,7 +108,7 @@ impl Adapters {
     }
 }
 
-fn locked(adapters: &Plugged) -> MutexGuard<'_, Vec<Adapter>> {
+fn locked(adapters: &AdapterList) -> MutexGuard<'_, Vec<Adapter>> {
     adapters.lock().expect("the bus runs")
 }
 
@@ -175,7 +175,7 @@ impl Adapter {
 }
 
 /// The bus, until it is told to end.
-fn run(plugged: &Plugged, woken: &OwnedFd) {
+fn run(plugged: &AdapterList, woken: &OwnedFd) {
     loop {
         let wanted = |adapter: &Adapter| {
             let writes = !adapter.waiting.is_empty();
