@@ -163,7 +163,7 @@ impl MediumActor for FaultInjector {
     }
 }
 
-transport!(FaultInjector, counted elsewhere);
+transport!(counted elsewhere, FaultInjector);
 
 impl Handler<ReadCounters> for FaultInjector {
     type Result = ResponseFuture<blastema_contract::transport::TransportCounters>;

@@ -67,9 +67,9 @@ pub use crate::reach::Reach;
 pub use frame_medium::FrameMedium;
 pub use frame_transport::FrameTransport;
 #[cfg(feature = "memory")]
-pub use memory::{Memory, MemoryConfig, MemoryMedium};
+pub use memory::{Memory, MemoryMedium};
 #[cfg(feature = "serial")]
-pub use serial::{DirectionControl, Rs485, SerialConfig, SerialLine};
+pub use serial::{Rs485, SerialConfig, SerialLine};
 #[cfg(feature = "slcan")]
 pub use slcan::SlcanBus;
 #[cfg(feature = "tcp")]

@@ -120,10 +120,12 @@ impl<A: MediumActor> ActorFuture<A> for MediumPoller {
 /// Makes an actor of a [`MediumActor`]: its beginning, its next incarnation after a panic, and its
 /// orders.
 macro_rules! transport {
-    ($medium:ty) => {
-        crate::medium::transport!($medium, counted elsewhere);
+    ($medium:ty $(, <$family:ident: $bound:ident>)?) => {
+        crate::medium::transport!(counted elsewhere, $medium $(, <$family: $bound>)?);
 
-        impl actix::Handler<blastema_contract::transport::ReadCounters> for $medium {
+        impl$(<$family: $bound>)? actix::Handler<blastema_contract::transport::ReadCounters>
+            for $medium
+        {
             type Result = actix::MessageResult<blastema_contract::transport::ReadCounters>;
 
             fn handle(
@@ -137,8 +139,8 @@ macro_rules! transport {
             }
         }
     };
-    ($medium:ty, counted elsewhere) => {
-        impl actix::Actor for $medium {
+    (counted elsewhere, $medium:ty $(, <$family:ident: $bound:ident>)?) => {
+        impl$(<$family: $bound>)? actix::Actor for $medium {
             type Context = actix::Context<Self>;
 
             fn started(&mut self, context: &mut actix::Context<Self>) {
@@ -149,7 +151,7 @@ macro_rules! transport {
 
         /// The next incarnation opens at the same address and serves the receivers that were
         /// attached.
-        impl actix::Supervised for $medium {
+        impl$(<$family: $bound>)? actix::Supervised for $medium {
             fn restarting(&mut self, context: &mut actix::Context<Self>) {
                 crate::medium::MediumActor::shut(self);
                 crate::medium::MediumActor::upstream(self).begin_next_incarnation();
@@ -157,7 +159,7 @@ macro_rules! transport {
             }
         }
 
-        impl actix::Handler<blastema_contract::transport::Transmit> for $medium {
+        impl$(<$family: $bound>)? actix::Handler<blastema_contract::transport::Transmit> for $medium {
             type Result = ();
 
             fn handle(
@@ -169,7 +171,7 @@ macro_rules! transport {
             }
         }
 
-        impl actix::Handler<blastema_contract::transport::Attach> for $medium {
+        impl$(<$family: $bound>)? actix::Handler<blastema_contract::transport::Attach> for $medium {
             type Result = ();
 
             fn handle(
@@ -181,7 +183,7 @@ macro_rules! transport {
             }
         }
 
-        impl actix::Handler<blastema_contract::transport::Adopt> for $medium {
+        impl$(<$family: $bound>)? actix::Handler<blastema_contract::transport::Adopt> for $medium {
             type Result = ();
 
             fn handle(
@@ -193,7 +195,7 @@ macro_rules! transport {
             }
         }
 
-        impl actix::Handler<blastema_contract::transport::Close> for $medium {
+        impl$(<$family: $bound>)? actix::Handler<blastema_contract::transport::Close> for $medium {
             type Result = ();
 
             fn handle(

@@ -16,58 +16,38 @@ use std::task::{self, Waker};
 #[derive(Clone, Default)]
 pub struct MemoryMedium(Arc<Mutex<BTreeMap<Arc<str>, Arc<Inbox>>>>);
 
-/// How an end of a [`MemoryMedium`] is called, and how much it holds.
-///
-/// ```
-/// use blastema_transports::{MemoryConfig, MemoryMedium};
-/// let medium = MemoryMedium::default();
-/// let config = MemoryConfig::new(&medium, "left");
-/// # let _ = config;
-/// ```
-#[derive(Clone)]
-#[non_exhaustive]
-pub struct MemoryConfig {
-    /// The medium that it is an end of.
-    pub medium: MemoryMedium,
-    /// Its address there.
-    pub name: Arc<str>,
-    /// The largest frame, in bytes.
-    pub mtu: usize,
-    /// How many frames wait for this end; beyond, they are dropped.
-    pub queue_frames: usize,
-    /// How many bytes wait for this end; beyond, frames are dropped.
-    pub queue_bytes: usize,
-}
-
-impl MemoryConfig {
-    /// The end called `name`.
-    pub fn new(medium: &MemoryMedium, name: &str) -> Self {
-        MemoryConfig {
-            medium: medium.clone(),
-            name: name.into(),
-            mtu: 64 * 1024,
-            queue_frames: 1024,
-            queue_bytes: 4 << 20,
-        }
-    }
-}
+/// The largest frame, in bytes.
+const MTU: usize = 64 * 1024;
+/// So many frames wait for an end; beyond, they are dropped.
+const QUEUE_FRAMES: usize = 1024;
+/// So many bytes wait for an end; beyond, frames are dropped.
+const QUEUE_BYTES: usize = 4 << 20;
 
 /// An end of a [`MemoryMedium`] as a transport. It opens no sockets and reads no clock, and so
 /// works under a paused one.
 ///
 /// It lives until it is sent [`Close`](blastema_contract::transport::Close).
 pub struct Memory {
-    config: MemoryConfig,
+    medium: MemoryMedium,
+    name: Arc<str>,
     upstream: Upstream,
     reopening: ReopenBackoff,
     inbox: Option<Arc<Inbox>>,
 }
 
 impl Memory {
-    /// A transport that opens when it is started.
-    pub fn new(config: MemoryConfig) -> Self {
+    /// The end of this name, as a transport that opens when it is started.
+    ///
+    /// ```
+    /// use blastema_transports::{Memory, MemoryMedium};
+    /// let medium = MemoryMedium::default();
+    /// let transport = Memory::new(&medium, "left");
+    /// # let _ = transport;
+    /// ```
+    pub fn new(medium: &MemoryMedium, name: &str) -> Self {
         Memory {
-            config,
+            medium: medium.clone(),
+            name: name.into(),
             upstream: Upstream::default(),
             reopening: ReopenBackoff::default(),
             inbox: None,
@@ -75,13 +55,13 @@ impl Memory {
     }
 
     fn try_open(&mut self) {
-        let MemoryConfig { medium, name, mtu, .. } = &self.config;
-        let inbox = Arc::new(Inbox::new(&self.config));
+        let Memory { medium, name, .. } = self;
+        let inbox = Arc::<Inbox>::default();
         if medium.enter(name, &inbox) {
             self.inbox = Some(inbox);
             self.reopening.reset();
             let local = MediumAddress::Memory(name.clone());
-            let (mtu, is_probed) = (*mtu, false);
+            let (mtu, is_probed) = (MTU, false);
             self.upstream.announce(TransportReport::Opened { local, mtu, is_probed });
         } else {
             self.reopening.failed();
@@ -135,12 +115,8 @@ impl MemoryMedium {
 }
 
 /// What has arrived at an end and was not read yet.
-struct Inbox {
-    mtu: usize,
-    most_frames: usize,
-    most_bytes: usize,
-    waiting: Mutex<Waiting>,
-}
+#[derive(Default)]
+struct Inbox(Mutex<Waiting>);
 
 #[derive(Default)]
 struct Waiting {
@@ -150,26 +126,14 @@ struct Waiting {
 }
 
 impl Inbox {
-    fn new(config: &MemoryConfig) -> Self {
-        Inbox {
-            mtu: config.mtu,
-            most_frames: config.queue_frames,
-            most_bytes: config.queue_bytes,
-            waiting: Mutex::default(),
-        }
-    }
-
     fn waiting(&self) -> MutexGuard<'_, Waiting> {
-        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Takes a frame in, if there is room.
     fn push(&self, from: Arc<str>, frame: Bytes) -> bool {
         let mut waiting = self.waiting();
-        if frame.len() > self.mtu
-            || waiting.frames.len() >= self.most_frames
-            || waiting.bytes + frame.len() > self.most_bytes
-        {
+        if waiting.frames.len() >= QUEUE_FRAMES || waiting.bytes + frame.len() > QUEUE_BYTES {
             return false;
         }
         waiting.bytes += frame.len();
@@ -211,12 +175,12 @@ impl MediumActor for Memory {
             counters.refused += 1;
             return;
         };
-        if frame.len() > self.config.mtu {
+        if frame.len() > MTU {
             counters.refused += 1;
             return;
         }
-        let end = self.config.medium.end(&to).filter(|_| self.inbox.is_some());
-        if end.is_some_and(|end| end.push(self.config.name.clone(), frame.into_bytes())) {
+        let end = self.medium.end(&to).filter(|_| self.inbox.is_some());
+        if end.is_some_and(|end| end.push(self.name.clone(), frame.into_bytes())) {
             counters.sent += 1;
         } else {
             counters.dropped += 1;
@@ -245,7 +209,7 @@ impl MediumActor for Memory {
 
     fn shut(&mut self) {
         if let Some(inbox) = self.inbox.take() {
-            self.config.medium.leave(&self.config.name, &inbox);
+            self.medium.leave(&self.name, &inbox);
         }
     }
 }

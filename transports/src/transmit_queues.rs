@@ -14,9 +14,8 @@ const IN_A_ROW: usize = 8;
 /// place of the urgent, nor the urgent one of the hellos.
 #[derive(Debug)]
 pub(crate) struct TransmitQueues<T> {
-    hellos: Queue<T>,
-    urgent: Queue<T>,
-    usual: Queue<T>,
+    /// By lane.
+    queues: [Queue<T>; 3],
     in_a_row: usize,
     /// Since when the one that was taken out last had waited.
     taken: Option<Instant>,
@@ -37,8 +36,8 @@ impl<T> Default for Queue<T> {
 
 impl<T> Default for TransmitQueues<T> {
     fn default() -> Self {
-        let (hellos, urgent, usual) = (Queue::default(), Queue::default(), Queue::default());
-        TransmitQueues { hellos, urgent, usual, in_a_row: 0, taken: None }
+        let queues = std::array::from_fn(|_| Queue::default());
+        TransmitQueues { queues, in_a_row: 0, taken: None }
     }
 }
 
@@ -52,11 +51,7 @@ impl<T> TransmitQueues<T> {
         bytes: usize,
         limits: QueueLimits,
     ) -> bool {
-        let queue = match lane {
-            FrameLane::Hello => &mut self.hellos,
-            FrameLane::Urgent => &mut self.urgent,
-            FrameLane::Usual => &mut self.usual,
-        };
+        let queue = &mut self.queues[lane as usize];
         if queue.waiting.len() >= limits.frames || queue.bytes + bytes > limits.bytes {
             return false;
         }
@@ -73,38 +68,41 @@ impl<T> TransmitQueues<T> {
     }
 
     fn pop_next(&mut self) -> Option<(FrameLane, (T, Option<Instant>))> {
-        if let Some(one) = self.hellos.pop() {
+        let [hellos, urgent, usual] = &mut self.queues;
+        if let Some(one) = hellos.pop() {
             return Some((FrameLane::Hello, one));
         }
-        let has_turn = self.in_a_row >= IN_A_ROW && !self.usual.waiting.is_empty();
-        if !has_turn && let Some(one) = self.urgent.pop() {
+        let has_turn = self.in_a_row >= IN_A_ROW && !usual.waiting.is_empty();
+        if !has_turn && let Some(one) = urgent.pop() {
             self.in_a_row += 1;
             return Some((FrameLane::Urgent, one));
         }
         self.in_a_row = 0;
-        Some((FrameLane::Usual, self.usual.pop()?))
+        Some((FrameLane::Usual, usual.pop()?))
     }
 
     /// What waits, with the one that was taken out last if the medium has not taken it yet.
     pub(crate) fn backlog(&self, is_going: bool, now: Option<Instant>) -> TransmitBacklog {
-        let queues = [&self.hellos, &self.urgent, &self.usual];
-        let frames: usize = queues.iter().map(|queue| queue.waiting.len()).sum();
-        let fronts = queues.iter().filter_map(|queue| queue.waiting.front());
+        let frames = self.len();
+        let fronts = self.queues.iter().filter_map(|queue| queue.waiting.front());
         let going = self.taken.filter(|_| is_going);
         let oldest = fronts.filter_map(|(_, _, since)| *since).chain(going).min();
         TransmitBacklog::since(frames + usize::from(is_going), oldest, now)
     }
 
     pub(crate) fn is_empty(&self) -> bool {
-        [&self.hellos, &self.urgent, &self.usual].iter().all(|queue| queue.waiting.is_empty())
+        self.len() == 0
     }
 
     /// Throws all away; the answer is how many that were.
     pub(crate) fn clear(&mut self) -> u64 {
-        let queues = [&self.hellos, &self.urgent, &self.usual];
-        let waiting: usize = queues.iter().map(|queue| queue.waiting.len()).sum();
+        let waiting = self.len();
         *self = TransmitQueues::default();
         waiting as u64
+    }
+
+    fn len(&self) -> usize {
+        self.queues.iter().map(|queue| queue.waiting.len()).sum()
     }
 }
 

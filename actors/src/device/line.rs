@@ -470,7 +470,7 @@ impl Client {
                 }
             }
             HostEvent::Refused(mismatch) => {
-                self.link.set_phase(DevicePhase::Refused(self.link.explain(mismatch)));
+                self.link.set_phase(DevicePhase::Refused(mismatch));
             }
             HostEvent::Lost => {
                 let why = "it does not answer: it is hung, switched off or unplugged";
@@ -499,9 +499,6 @@ impl Client {
                 }
             }
             HostEvent::OutOfStep => warn!("a device was out of step: its line damages packets"),
-            HostEvent::TooFewTries { needed, failed_per_mille } => {
-                warn!("{failed_per_mille} of 1000 requests to a device fail: set tries({needed})");
-            }
         }
     }
 }

@@ -16,9 +16,6 @@ use tokio::sync::{Notify, oneshot, watch};
 /// Takes the packed value of an out port.
 pub(super) type Receive = Box<dyn Fn(&[u8]) + Send + Sync>;
 
-/// A contract's name, and what says how that with another fingerprint differs.
-pub(super) type ShownContract = (&'static str, fn(u32) -> Option<String>);
-
 /// A command to the device, with its data.
 #[derive(Clone, Debug)]
 pub(super) enum DeviceOrder {
@@ -52,7 +49,7 @@ pub(super) enum DevicePhase {
     Absent(String),
     Serving,
     /// Another device, or another contract.
-    Refused(String),
+    Refused(Mismatch),
     /// The line serves this proxy no more: it hung, or another one has taken its place.
     Released,
 }
@@ -78,8 +75,6 @@ struct Orders {
 /// One incarnation of a proxy at its line.
 pub(super) struct DeviceLink {
     pub(super) config: HostConfig<Vec<Port>>,
-    /// The contracts of the ports, for display, and what says how one differs.
-    pub(super) contracts: Vec<ShownContract>,
     /// Indexed by the number of the port.
     pub(super) receivers: Vec<Option<Receive>>,
     pub(super) status: watch::Sender<DeviceStatus>,
@@ -94,7 +89,6 @@ const INACTIVE: u64 = u64::MAX;
 impl DeviceLink {
     pub(super) fn new(
         config: HostConfig<Vec<Port>>,
-        contracts: Vec<ShownContract>,
         receivers: Vec<Option<Receive>>,
         changed: Arc<Notify>,
     ) -> Self {
@@ -103,7 +97,6 @@ impl DeviceLink {
         let status = DeviceStatus { phase, resets, fault: None };
         DeviceLink {
             config,
-            contracts,
             receivers,
             status: watch::Sender::new(status),
             orders: Mutex::default(),
@@ -222,43 +215,5 @@ impl DeviceLink {
         // A handler that waits for an outcome gets it when its sender is dropped.
         self.orders().waiting.clear();
         self.changed.notify_one();
-    }
-
-    /// Says why the device is refused.
-    pub(super) fn explain(&self, mismatch: Mismatch) -> String {
-        let named = |port: usize| {
-            let of = &self.config.ports[port];
-            let (object, id, contract) = (of.object(), of.id(), self.contracts[port].0);
-            format!("port {id:#04x} of object {object}, `{contract}`")
-        };
-        match mismatch {
-            Mismatch::Type(other) => format!(
-                "a device of type {other:#010x} answers, and {:#010x} is expected: another device \
-                 is connected, or another firmware runs on it",
-                self.config.device_type
-            ),
-            Mismatch::Missing(port) => format!(
-                "the device has no {}: build its firmware with the header of this robot",
-                named(port)
-            ),
-            Mismatch::Port(port, theirs) => {
-                let ours = &self.config.ports[port];
-                let same = |known: &Port| known.fingerprint() == theirs.fingerprint();
-                let known = self.config.ports.iter().position(same);
-                let meant = known.map(|known| format!(", which is `{}`", self.contracts[known].0));
-                let differs = (self.contracts[port].1)(theirs.fingerprint());
-                let differs = meant.or_else(|| differs.map(|what| format!(": {what}")));
-                format!(
-                    "{} has {} bytes and fingerprint {:#010x} here, {} bytes and {:#010x} on the \
-                     device{}; build its firmware with the header of this robot",
-                    named(port),
-                    ours.size(),
-                    ours.fingerprint(),
-                    theirs.size(),
-                    theirs.fingerprint(),
-                    differs.unwrap_or_default()
-                )
-            }
-        }
     }
 }

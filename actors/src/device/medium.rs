@@ -7,7 +7,7 @@ use blastema_lite::{
     cobs::{self, CobsDecoder},
 };
 use blastema_transports::Endpoint;
-use blastema_transports::serial::{SerialConfig, open_bytes};
+use blastema_transports::serial::{SerialConfig, SerialStream, open_bytes};
 use std::future::poll_fn;
 use std::io;
 #[cfg(feature = "ip")]
@@ -76,7 +76,7 @@ impl DeviceMedium {
 
     pub(super) async fn open(&self) -> io::Result<OpenLine> {
         Ok(match self {
-            DeviceMedium::Serial(config) => OpenLine::Bytes(Box::new(open_bytes(config)?)),
+            DeviceMedium::Serial(config) => OpenLine::Bytes(open_bytes(config)?),
             #[cfg(feature = "ip")]
             DeviceMedium::Datagrams(device) => {
                 let own: SocketAddr = match device {
@@ -91,14 +91,9 @@ impl DeviceMedium {
     }
 }
 
-/// A byte stream in both directions.
-pub(super) trait DeviceStream: AsyncRead + AsyncWrite + Send + Unpin {}
-
-impl<T: AsyncRead + AsyncWrite + Send + Unpin> DeviceStream for T {}
-
 /// An open port or socket. It carries frames; a datagram is one without its framing.
 pub(super) enum OpenLine {
-    Bytes(Box<dyn DeviceStream>),
+    Bytes(SerialStream),
     #[cfg(feature = "ip")]
     Datagrams(UdpSocket),
 }
@@ -112,9 +107,7 @@ impl OpenLine {
         buffer: &mut [u8; FRAME_MAX],
     ) -> io::Result<usize> {
         match self {
-            OpenLine::Bytes(port) => {
-                poll_fn(|cx| poll_bytes(&mut **port, unsent, buffer, cx)).await
-            }
+            OpenLine::Bytes(port) => poll_fn(|cx| poll_bytes(port, unsent, buffer, cx)).await,
             #[cfg(feature = "ip")]
             OpenLine::Datagrams(socket) if !unsent.is_empty() => {
                 let mut decoder = CobsDecoder::default();
@@ -139,7 +132,7 @@ impl OpenLine {
 }
 
 fn poll_bytes(
-    port: &mut dyn DeviceStream,
+    port: &mut SerialStream,
     unsent: &mut Vec<u8>,
     buffer: &mut [u8],
     cx: &mut Context<'_>,

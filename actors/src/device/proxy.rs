@@ -17,7 +17,9 @@ use crate::component::{Component, Failure, Handle};
 use crate::platform;
 use blastema_core::contract::packed;
 use blastema_core::{Contract, DeliveryError, FaultKind};
-use blastema_lite::{CommandOutcome, DeviceState, HostConfig, LifecycleChange, Port, Status};
+use blastema_lite::{
+    CommandOutcome, DeviceState, HostConfig, LifecycleChange, Mismatch, Port, Status,
+};
 use std::any::TypeId;
 use std::sync::Arc;
 use std::time::Duration;
@@ -33,6 +35,47 @@ pub(super) struct ProxySettings {
     pub(super) ports: Vec<DevicePort<DeviceProxy>>,
     /// The period of the device's context in milliseconds, unless its own.
     pub(super) period_ms: Option<u16>,
+}
+
+impl ProxySettings {
+    /// Says why the device is refused.
+    fn explain(&self, mismatch: Mismatch) -> String {
+        let named = |of: &DevicePort<DeviceProxy>| {
+            let (object, id, contract) = (of.port.object(), of.port.id(), of.contract);
+            format!("port {id:#04x} of object {object}, `{contract}`")
+        };
+        match mismatch {
+            Mismatch::Type(other) => format!(
+                "a device of type {other:#010x} answers, and {:#010x} is expected: another device \
+                 is connected, or another firmware runs on it",
+                self.host.device_type
+            ),
+            Mismatch::Missing(at) => format!(
+                "the device has no {}: build its firmware with the header of this robot",
+                named(&self.ports[at])
+            ),
+            Mismatch::Port(at, theirs) => {
+                let ours = &self.ports[at];
+                let same = |known: &&DevicePort<DeviceProxy>| {
+                    known.port.fingerprint() == theirs.fingerprint()
+                };
+                let known = self.ports.iter().find(same);
+                let meant = known.map(|known| format!(", which is `{}`", known.contract));
+                let differs = (ours.difference)(theirs.fingerprint());
+                let differs = meant.or_else(|| differs.map(|what| format!(": {what}")));
+                format!(
+                    "{} has {} bytes and fingerprint {:#010x} here, {} bytes and {:#010x} on the \
+                     device{}; build its firmware with the header of this robot",
+                    named(ours),
+                    ours.port.size(),
+                    ours.port.fingerprint(),
+                    theirs.size(),
+                    theirs.fingerprint(),
+                    differs.unwrap_or_default()
+                )
+            }
+        }
+    }
 }
 
 /// The component that stands for a device on its node; see [`DeviceSpec`](crate::DeviceSpec).
@@ -71,13 +114,11 @@ impl DeviceProxy {
             _ => Ok(None),
         });
         let receivers = receivers.collect::<Result<Vec<_>, _>>()?;
-        let contracts = settings.ports.iter().map(|port| (port.contract, port.difference));
-        let contracts = contracts.collect();
         // Sessions of a new incarnation differ from those of the one before.
         let session = platform::random_seed() as u16;
         let config = HostConfig { session, ..settings.host.clone() };
         let changed = settings.line.changed.clone();
-        let link = Arc::new(DeviceLink::new(config, contracts, receivers, changed));
+        let link = Arc::new(DeviceLink::new(config, receivers, changed));
         settings.line.attach(link.clone(), &settings.claim)?;
         self.link = Some(link.clone());
         Ok(link)
@@ -122,7 +163,7 @@ impl DeviceProxy {
         let phase = self.link.as_ref().map(|link| link.status.borrow().phase.clone());
         match phase {
             Some(DevicePhase::Absent(why)) => format!("the device is lost: {why}"),
-            Some(DevicePhase::Refused(why)) => why,
+            Some(DevicePhase::Refused(mismatch)) => self.settings.explain(mismatch),
             Some(DevicePhase::Released) => "the line serves another incarnation".to_owned(),
             Some(DevicePhase::Serving) | None => "the device was lost for a moment".to_owned(),
         }
@@ -169,8 +210,9 @@ impl Component for DeviceProxy {
         let mut status = link.status.subscribe();
         let serves = status.wait_for(|status| status.phase == DevicePhase::Serving);
         if tokio::time::timeout(ANSWER, serves).await.is_err() {
-            if let DevicePhase::Refused(why) = &link.status.borrow().phase {
-                cx.declare_fault(FaultKind::ContractMismatch, why.clone());
+            let is_refused = matches!(link.status.borrow().phase, DevicePhase::Refused(_));
+            if is_refused {
+                cx.declare_fault(FaultKind::ContractMismatch, self.absence());
             }
             return Err(Failure::unavailable(self.absence()));
         }

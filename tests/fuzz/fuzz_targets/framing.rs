@@ -14,6 +14,7 @@ fuzz_target!(|bytes: &[u8]| {
         assert!(frame.len() <= LIMIT);
     }
     if let Some(preamble) = bytes.first_chunk() {
-        let _ = framing::decode_preamble(*preamble);
+        let _ = framing::decode_preamble(*preamble, framing::PreambleKind::Port);
+        let _ = framing::decode_preamble(*preamble, framing::PreambleKind::Path);
     }
 });

@@ -281,7 +281,7 @@ fn a_wrong_endpoint_or_address_is_refused_at_start_with_the_wrong_part_underline
 
         let network = Network::new("cable", "tcp://127.0.0.1:0");
         let error = start(network.link(Link::to("module2", "10.0.0:7400").cost(3))).await;
-        assert_eq!(error.part(), "10.0.0");
+        assert_eq!(error.part(), "10.0.0:7400");
     });
 }
 

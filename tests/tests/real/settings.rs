@@ -264,7 +264,7 @@ fn our_own_address_is_nobody_elses_and_a_neighbours_is_one_of_the_medium() {
         for (network, words) in [
             (own().peer("module1", "127.0.0.1:7401"), ["module1 is this node", "network eth"]),
             (own().peer("b", "127.0.0.1:7400"), ["our own address", "^^^"]),
-            (own().peer("b", "127.0.0.1:0"), ["port 0", "network eth"]),
+            (own().peer("b", "127.0.0.1:0"), ["no address of one neighbour", "network eth"]),
             (own().peer("b 2", "127.0.0.1:1"), ["neighbour on network eth", "' '"]),
         ] {
             refused(node().network(network), &words).await;

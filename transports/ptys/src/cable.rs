@@ -41,8 +41,8 @@ struct Plugged {
 }
 
 /// The far side of one end.
-struct Pty {
-    master: OwnedFd,
+pub(crate) struct Pty {
+    pub(crate) master: OwnedFd,
     /// Kept open, so that the line lives on when a program closes its end, as a cable does.
     slave: OwnedFd,
 }
@@ -142,7 +142,7 @@ impl Drop for Cable {
 }
 
 impl Pty {
-    fn open(at: &Path) -> Self {
+    pub(crate) fn open(at: &Path) -> Self {
         let master =
             openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).expect("a pty");
         grantpt(&master).expect("ours");
@@ -155,7 +155,7 @@ impl Pty {
         settings.make_raw();
         tcsetattr(&slave, OptionalActions::Now, &settings).expect("a terminal");
         rustix::io::ioctl_fionbio(&master, true).expect("a file");
-        symlink(name.to_str().expect("ASCII"), at).expect("no end is there");
+        symlink(name.to_str().expect("ASCII"), at).expect("no port is there");
         Pty { master, slave }
     }
 

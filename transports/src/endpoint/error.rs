@@ -15,27 +15,27 @@ use std::ops::Range;
 pub struct EndpointError {
     text: String,
     at: Range<usize>,
-    problem: Box<str>,
+    problem: String,
 }
+
+/// The wrong part of a text that is being read, and what is wrong with it.
+#[derive(Debug)]
+pub(super) struct Wrong<'a>(pub &'a str, pub String);
 
 /// The known word that may have been meant, or all of them.
 pub(super) fn suggest(wrong: &str, known: &[&str]) -> String {
     match (nearest(wrong, known.iter().copied()), known) {
-        (Some(nearest), _) => format!("did you mean `{nearest}`?"),
+        (Some(known), _) => format!("did you mean `{known}`?"),
         (None, [only]) => format!("there is {only} alone"),
-        (None, known) => format!("there are {}", known.join(", ")),
+        (None, _) => format!("there are {}", known.join(", ")),
     }
 }
 
 impl EndpointError {
-    pub(super) fn new(text: &str, at: Range<usize>, problem: impl Into<Box<str>>) -> Self {
-        EndpointError { text: text.to_owned(), at, problem: problem.into() }
-    }
-
-    /// The error as one of a text in which each place stands elsewhere.
-    pub(super) fn shown_in(self, text: &str, place: impl Fn(usize) -> usize) -> Self {
-        let at = place(self.at.start)..place(self.at.end);
-        EndpointError { text: text.to_owned(), at, ..self }
+    /// The wrong part is a piece of the text.
+    pub(super) fn new(text: &str, Wrong(part, problem): Wrong<'_>) -> Self {
+        let start = part.as_ptr() as usize - text.as_ptr() as usize;
+        EndpointError { text: text.to_owned(), at: start..start + part.len(), problem }
     }
 
     /// What is wrong with the part, and what to write.

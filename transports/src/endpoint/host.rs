@@ -58,14 +58,7 @@ impl<'a> NamedHost<'a> {
     /// # Errors
     /// As [`Endpoint::parse`]; they show the text with the name.
     pub fn parse(self, address: SocketAddr) -> Result<(Endpoint, bool), EndpointError> {
-        let replaced = self.replaced_by(address);
-        Endpoint::parse(&replaced).map_err(|error| {
-            let shown = |at: usize| match at > self.start {
-                true => (at + self.text.len()).saturating_sub(replaced.len()).max(self.start),
-                false => at,
-            };
-            error.shown_in(self.text, shown)
-        })
+        Endpoint::parse_at(self.text, Some(address))
     }
 
     fn range(self) -> Range<usize> {
@@ -74,7 +67,7 @@ impl<'a> NamedHost<'a> {
 }
 
 /// Whether a text can be the name of a host (RFC 1123), and no IP address that lacks a part.
-pub(super) fn is_host(text: &str) -> bool {
+fn is_host(text: &str) -> bool {
     let is_label = |label: &str| {
         let is_allowed = |byte: u8| byte.is_ascii_alphanumeric() || b"-_".contains(&byte);
         (1..=63).contains(&label.len()) && label.bytes().all(is_allowed)

@@ -21,11 +21,13 @@ mod validation;
 pub use self::can::{CanConfig, CanNodeConfig, SLCAN_BIT_RATES, SLCAN_DATA_RATES, SlcanConfig};
 pub use self::error::EndpointError;
 pub use self::host::NamedHost;
-pub use self::settings::is_interface;
 
-use self::settings::Settings;
+use self::error::Wrong;
+use self::settings::{Settings, duration};
 #[cfg(feature = "serial")]
-use crate::serial::{DirectionControl, Parity, Rs485, SerialConfig, StopBits};
+use crate::serial::{Parity, Rs485, SerialConfig, StopBits};
+#[cfg(any(feature = "tcp", feature = "unix"))]
+use crate::stream::StreamLimits;
 #[cfg(feature = "tcp")]
 use crate::tcp::TcpConfig;
 #[cfg(feature = "udp")]
@@ -34,24 +36,20 @@ use crate::udp::UdpConfig;
 use crate::unix::UnixConfig;
 use blastema_contract::transport::MediumAddress;
 use blastema_core::net::routing::MTU_MIN;
-#[cfg(feature = "udp")]
-use std::net::Ipv4Addr;
 #[cfg(any(feature = "udp", feature = "tcp"))]
-use std::net::{IpAddr, Ipv6Addr, SocketAddr};
-use std::ops::Range;
-#[cfg(any(feature = "tcp", feature = "unix", feature = "serial"))]
-use std::ops::RangeInclusive;
+use std::net::IpAddr;
+use std::net::SocketAddr;
+#[cfg(feature = "udp")]
+use std::net::{Ipv4Addr, Ipv6Addr};
 use std::path::PathBuf;
 use std::str::FromStr;
+#[cfg(feature = "serial")]
 use std::time::Duration;
 
 /// The largest frame that any setting allows, in bytes: each receiver must be able to hold it.
 const MOST_BYTES: u64 = 1 << 24;
 /// The smallest largest frame, in bytes: what routers tell each other must fit.
 const LEAST_BYTES: u64 = MTU_MIN as u64;
-/// The shortest and the longest time that a setting may name.
-#[cfg(any(feature = "tcp", feature = "unix", feature = "serial"))]
-const TIMEOUT: RangeInclusive<Duration> = Duration::from_millis(1)..=Duration::from_secs(3600);
 
 /// A medium and its settings.
 ///
@@ -62,13 +60,13 @@ const TIMEOUT: RangeInclusive<Duration> = Duration::from_millis(1)..=Duration::f
 /// | `udp://10.0.1.1:7400?interface=firewire0` | IP over IEEE 1394, bound to its interface | as UDP |
 /// | `tcp://10.0.0.1:7400` | TCP | `interface`, `mtu`, `peers`, `strangers`, `queue_bytes`, `connect_timeout`, `hello_timeout`, `user_timeout` |
 /// | `unix:///run/x.sock` | a Unix-domain socket | `mode` (octal), `mtu`, `peers`, `strangers`, `queue_bytes`, `connect_timeout`, `hello_timeout`, `users` |
-/// | `serial:///dev/ttyUSB0` | a serial line | `baud`, `parity`, `stop_bits`, `flow`, `rs485`, `rts`, `rts_before`, `rts_after`, `mtu`, `queue_time` |
+/// | `serial:///dev/ttyUSB0` | a serial line | `baud`, `parity`, `stop_bits`, `flow`, `rs485`, with it `rts`, `rts_before`, `rts_after`; `mtu`, `queue_time` |
 /// | `can://can0` | a CAN interface | `fd`, `bit_rate_switch`, `bitrate`, `address`, `mtu`, `queue_frames`, `block_size`, `separation` |
 /// | `slcan:///dev/ttyACM0` | a CAN adapter on a serial port | `bitrate`, `fd`, `bit_rate_switch`, `data_bitrate`, `baud`, `address`, `mtu`, `queue_frames`, `block_size`, `separation` |
 /// | `memory://name` | between nodes of one process | |
 ///
 /// Each takes `insecure` too, with or without `=true`: see [`Endpoint::parse`].
-/// Times have a unit (`500ms`). In a path, `%3F` is a question mark, and `%25` a percent sign.
+/// Times have a unit (`500ms`). A path has no question mark.
 ///
 /// ```
 /// use blastema_transports::Endpoint;
@@ -119,33 +117,12 @@ impl Endpoint {
     /// # Errors
     /// The text is no endpoint.
     pub fn parse(text: &str) -> Result<(Self, bool), EndpointError> {
-        let Some((medium, rest)) = text.split_once("://") else {
-            let problem = "an endpoint begins with its medium, as in udp://0.0.0.0:7400";
-            return Err(EndpointError::new(text, 0..0, problem));
-        };
-        let split = rest.split_once('?');
-        let (place, query) = split.map_or((rest, None), |(place, query)| (place, Some(query)));
-        let medium = media::find(&media::MEDIA, medium)
-            .map_err(|problem| EndpointError::new(text, 0..medium.len(), problem))?;
-        let at = medium.len() + 3..medium.len() + 3 + place.len();
-        let parts = Parts { text, place, at };
-        let mut settings = Settings::new(text, medium, query)?;
-        let endpoint = match medium {
-            #[cfg(feature = "udp")]
-            "udp" => udp(&parts, &mut settings),
-            #[cfg(feature = "tcp")]
-            "tcp" => tcp(&parts, &mut settings),
-            #[cfg(feature = "unix")]
-            "unix" => unix(&parts, &mut settings),
-            #[cfg(feature = "serial")]
-            "serial" => serial(&parts, &mut settings),
-            "can" => can(&parts, &mut settings),
-            "slcan" => slcan(&parts, &mut settings),
-            _ => memory(&parts),
-        }?;
-        let insecure = settings.flag("insecure")?;
-        settings.finish()?;
-        Ok((endpoint, insecure))
+        Endpoint::parse_at(text, None)
+    }
+
+    /// Parses an endpoint, with an address in place of the one that it names.
+    fn parse_at(text: &str, address: Option<SocketAddr>) -> Result<(Self, bool), EndpointError> {
+        read(text, address).map_err(|wrong| EndpointError::new(text, wrong))
     }
 
     /// The medium's name, as it stands before `://`.
@@ -160,79 +137,100 @@ impl Endpoint {
     /// # Errors
     /// The text is no address there.
     pub fn peer(&self, text: &str) -> Result<MediumAddress, EndpointError> {
-        let error = |problem| EndpointError::new(text, 0..text.len(), problem);
         let parsed = match self {
             #[cfg(feature = "udp")]
-            Endpoint::Udp(_) => Ok(MediumAddress::Ip(ip(text, 0..text.len(), text)?)),
+            Endpoint::Udp(_) => ip(text).map(MediumAddress::Ip),
             #[cfg(feature = "tcp")]
-            Endpoint::Tcp(_) => Ok(MediumAddress::Ip(ip(text, 0..text.len(), text)?)),
+            Endpoint::Tcp(_) => ip(text).map(MediumAddress::Ip),
             #[cfg(feature = "unix")]
-            Endpoint::Unix(_) => {
-                check_socket_path(text.len()).map_err(error)?;
-                let path = text.starts_with('/').then(|| PathBuf::from(text).into());
-                path.map(MediumAddress::Unix)
-                    .ok_or("write the path of its socket, as in /run/b.sock")
-            }
+            Endpoint::Unix(_) => check_socket_path(text.len())
+                .and_then(|()| path(text, "/run/b.sock"))
+                .map(|path| MediumAddress::Unix(path.into())),
             #[cfg(feature = "serial")]
-            Endpoint::Serial(_) => match text {
-                "" => Ok(MediumAddress::Line),
-                _ => Err("a line leads to one peer only, which needs no address: leave it empty"),
-            },
+            Endpoint::Serial(_) if text.is_empty() => Ok(MediumAddress::Line),
+            #[cfg(feature = "serial")]
+            Endpoint::Serial(_) => {
+                Err("a line leads to one peer only, which needs no address: leave it empty".into())
+            }
             Endpoint::Can(_) | Endpoint::Slcan(_) => {
-                let number = match text.strip_prefix("0x") {
-                    Some(digits) => u8::from_str_radix(digits, 16),
-                    None => text.parse(),
-                };
-                number.map(MediumAddress::Can).map_err(|_| "write its number on the bus, 0 to 255")
+                let number = text.parse().map(MediumAddress::Can);
+                number.map_err(|_| "write its number on the bus, 0 to 255".to_owned())
             }
             Endpoint::Memory(_) => Ok(MediumAddress::Memory(text.into())),
         };
-        let checked = parsed.and_then(|peer| self.objection(&peer).map_or(Ok(peer), Err));
-        let medium = self.medium();
-        checked.map_err(|expected| error(format!("`{text}` is no peer on {medium}: {expected}")))
+        let objected = |peer| self.objection(&peer).map_or(Ok(peer), |why| Err(why.to_owned()));
+        parsed.and_then(objected).map_err(|expected| {
+            let medium = self.medium();
+            let problem = format!("`{text}` is no peer on {medium}: {expected}");
+            EndpointError::new(text, Wrong(text, problem))
+        })
     }
 
     /// How many connections may be open there beside those of peers.
     pub fn strangers(&self) -> usize {
         match self {
             #[cfg(feature = "tcp")]
-            Endpoint::Tcp(config) => config.strangers,
+            Endpoint::Tcp(config) => config.limits.strangers,
             #[cfg(feature = "unix")]
-            Endpoint::Unix(config) => config.strangers,
+            Endpoint::Unix(config) => config.limits.strangers,
             _ => 0,
         }
     }
 
-    /// Why no other node can be at this address of the medium.
-    fn objection(&self, peer: &MediumAddress) -> Option<&'static str> {
-        const OURSELVES: &str = "it is our own address: write the neighbour's";
-        match (self, peer) {
+    /// Finds what is wrong with an address of our own.
+    ///
+    /// # Errors
+    /// What is wrong, and what to write.
+    pub fn check(&self) -> Result<(), String> {
+        match self {
             #[cfg(feature = "udp")]
-            (Endpoint::Udp(config), MediumAddress::Ip(peer)) => {
-                let is_group = config.group == Some(*peer);
-                let refused = validation::no_peer(*peer).filter(|_| !is_group);
-                refused.or(validation::is_own(config.bind, *peer).then_some(OURSELVES))
+            Endpoint::Udp(config) => {
+                config.group.map_or(Ok(()), validation::check_group)?;
+                validation::check_own(config.bind)
             }
             #[cfg(feature = "tcp")]
-            (Endpoint::Tcp(config), MediumAddress::Ip(peer)) => validation::no_peer(*peer)
-                .or(validation::is_own(config.bind, *peer).then_some(OURSELVES)),
+            Endpoint::Tcp(config) => validation::check_own(config.bind),
             #[cfg(feature = "unix")]
-            (Endpoint::Unix(config), MediumAddress::Unix(path)) => {
-                (config.path == **path).then_some(OURSELVES)
+            Endpoint::Unix(config) => check_socket_path(config.path.as_os_str().len()),
+            Endpoint::Memory(name) if name.is_empty() => {
+                Err("our own end of the memory medium has no name: give it one".to_owned())
             }
+            _ => Ok(()),
+        }
+    }
+
+    /// Why no other node can be at this address of the medium.
+    pub fn objection(&self, peer: &MediumAddress) -> Option<&'static str> {
+        let is_own = match (self, peer) {
+            #[cfg(feature = "udp")]
+            (Endpoint::Udp(config), MediumAddress::Ip(peer)) => {
+                if config.group != Some(*peer) && !validation::is_host_address(*peer) {
+                    return Some(validation::NO_PEER);
+                }
+                validation::is_own(config.bind, *peer)
+            }
+            #[cfg(feature = "tcp")]
+            (Endpoint::Tcp(config), MediumAddress::Ip(peer)) => {
+                if !validation::is_host_address(*peer) {
+                    return Some(validation::NO_PEER);
+                }
+                validation::is_own(config.bind, *peer)
+            }
+            #[cfg(feature = "unix")]
+            (Endpoint::Unix(config), MediumAddress::Unix(path)) => config.path == **path,
             (Endpoint::Can(CanConfig { node, .. }), MediumAddress::Can(peer))
             | (Endpoint::Slcan(SlcanConfig { node, .. }), MediumAddress::Can(peer)) => {
-                (*peer == node.address).then_some("it is our own number: write the neighbour's")
+                *peer == node.address
             }
             (Endpoint::Memory(_), MediumAddress::Memory(peer)) if peer.is_empty() => {
-                Some("write the name of its end")
+                return Some("write the name of its end");
             }
-            (Endpoint::Memory(own), MediumAddress::Memory(peer)) => {
-                (own.as_str() == &**peer).then_some(OURSELVES)
-            }
-            // `peer` reads an address of this medium: what is left may be anywhere on it.
-            _ => None,
-        }
+            (Endpoint::Memory(own), MediumAddress::Memory(peer)) => own.as_str() == &**peer,
+            #[cfg(feature = "serial")]
+            (Endpoint::Serial(_), MediumAddress::Line) => false,
+            _ => return Some("it is an address of another medium: write one of this medium's"),
+        };
+        is_own.then_some("it is our own address: write the neighbour's")
     }
 }
 
@@ -255,125 +253,78 @@ pub fn check_socket_path(length: usize) -> Result<(), String> {
     }
 }
 
-/// An endpoint string behind its medium.
-struct Parts<'a> {
-    text: &'a str,
-    place: &'a str,
-    /// Where `place` stands in `text`.
-    at: Range<usize>,
+/// Whether Linux could call an interface so (`IFNAMSIZ` is 16 with its closing zero).
+pub fn is_interface(text: &str) -> bool {
+    let wrong = |c: char| c == '/' || c == ':' || c.is_whitespace() || c.is_control();
+    (1..=15).contains(&text.len()) && text != "." && text != ".." && !text.contains(wrong)
 }
 
-impl Parts<'_> {
-    fn error(&self, problem: impl Into<Box<str>>) -> EndpointError {
-        EndpointError::new(self.text, self.at.clone(), problem)
-    }
-
+/// Reads an endpoint, of which `address` replaces the one that it names, and its setting
+/// `insecure`.
+#[cfg_attr(not(any(feature = "udp", feature = "tcp")), expect(unused_variables))]
+fn read(text: &str, address: Option<SocketAddr>) -> Result<(Endpoint, bool), Wrong<'_>> {
+    let Some((medium, rest)) = text.split_once("://") else {
+        let problem = "an endpoint begins with its medium, as in udp://0.0.0.0:7400";
+        return Err(Wrong(&text[..0], problem.to_owned()));
+    };
+    let split = rest.split_once('?');
+    let (place, query) = split.map_or((rest, None), |(place, query)| (place, Some(query)));
+    let medium = media::find(&media::MEDIA, medium).map_err(|why| Wrong(medium, why))?;
+    let mut settings = Settings::new(query)?;
+    let at_place = |why| Wrong(place, why);
     #[cfg(any(feature = "udp", feature = "tcp"))]
-    fn no_broadcast(&self, address: SocketAddr) -> Result<(), EndpointError> {
-        if validation::is_broadcast(address.ip()) {
-            return Err(self.error(format!(
-                "`{}` is the address of all on a network, and no computer's own: write 0.0.0.0 or \
-                 one of this computer's",
-                address.ip()
-            )));
-        }
-        Ok(())
-    }
+    let own = || address.map_or_else(|| ip(place), Ok).map_err(at_place);
+    let path = |example| path(place, example).map_err(at_place);
+    let endpoint = match medium {
+        #[cfg(feature = "udp")]
+        "udp" => udp(own()?, &mut settings)?,
+        #[cfg(feature = "tcp")]
+        "tcp" => tcp(own()?, &mut settings)?,
+        #[cfg(feature = "unix")]
+        "unix" => unix(path("unix:///run/robot.sock")?, &mut settings)?,
+        #[cfg(feature = "serial")]
+        "serial" => serial(path("serial:///dev/ttyUSB0")?, &mut settings)?,
+        "can" => can(place, &mut settings)?,
+        "slcan" => slcan(path("slcan:///dev/ttyACM0")?, &mut settings)?,
+        _ => Endpoint::Memory(place.to_owned()),
+    };
+    let insecure = settings.flag("insecure")?;
+    settings.finish(medium)?;
+    endpoint.check().map_err(at_place)?;
+    Ok((endpoint, insecure))
+}
 
-    fn path(&self, example: &'static str) -> Result<PathBuf, EndpointError> {
-        if !self.place.starts_with('/') {
-            return Err(self.error(format!("a path begins with a slash, as in {example}")));
-        }
-        let mut bytes = Vec::with_capacity(self.place.len());
-        let mut rest = self.place.bytes().enumerate();
-        while let Some((place, byte)) = rest.next() {
-            if byte != b'%' {
-                bytes.push(byte);
-                continue;
-            }
-            let mut digit = || rest.next().and_then(|(_, byte)| char::from(byte).to_digit(16));
-            let (Some(high), Some(low)) = (digit(), digit()) else {
-                let start = self.at.start + place;
-                let problem = "after % there are two hexadecimal digits, as in %20 for a space";
-                return Err(EndpointError::new(self.text, start..start + 1, problem));
-            };
-            bytes.push((high * 16 + low) as u8);
-        }
-        // Escapes can spell what is no UTF-8, and a zero, which no path holds.
-        match String::from_utf8(bytes) {
-            Ok(path) if !path.contains('\0') => Ok(path.into()),
-            Ok(_) => Err(self.error("no path holds a zero byte: leave %00 out")),
-            Err(_) => {
-                Err(self.error("what the escapes spell is no UTF-8: write the letters themselves"))
-            }
+fn path(text: &str, example: &str) -> Result<PathBuf, String> {
+    match text.starts_with('/') && !text.contains('\0') {
+        true => Ok(text.into()),
+        false => {
+            Err(format!("a path begins with a slash, as in {example}, and holds no zero byte"))
         }
     }
 }
 
-/// An IP address with its port, at `at` in `text`.
+/// An IP address with its port.
 #[cfg(any(feature = "udp", feature = "tcp"))]
-fn ip(text: &str, at: Range<usize>, found: &str) -> Result<SocketAddr, EndpointError> {
-    if let Ok(address) = found.parse() {
-        return Ok(address);
-    }
-    let whole = |problem| Err(EndpointError::new(text, at.clone(), problem));
-    let no_ip = |found: &str| {
-        format!(
-            "`{found}` is no IP address: write it in numbers, as in 10.0.0.1:7400 or [fd00::1]:7400"
-        )
-    };
-    let bare = found.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')).unwrap_or(found);
-    if let Ok(address) = bare.parse::<IpAddr>() {
-        let example = SocketAddr::new(address, 7400);
-        // Where the last group could be a port, both are shown: only the writer knows.
-        if let Some((host, port)) = bare.rsplit_once(':')
-            && bare.len() == found.len()
-            && let (Ok(host), Ok(port)) = (host.parse::<Ipv6Addr>(), port.parse::<u16>())
-        {
-            let meant = SocketAddr::new(host.into(), port);
-            return whole(format!(
-                "an IPv6 address stands in brackets: write {meant}, or {example}"
-            ));
-        }
-        return whole(no_port(example));
-    }
-    let Some((host, port)) = found.rsplit_once(':') else {
-        return whole(match host::is_host(found) {
-            true => no_port(format_args!("{found}:7400")),
-            false => no_ip(found),
-        });
-    };
-    let inner = host.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')).unwrap_or(host);
-    let end = at.start + host.len();
-    if inner.parse::<IpAddr>().is_err() && (port.parse::<u16>().is_ok() || !host::is_host(host)) {
-        return Err(EndpointError::new(text, at.start..end, no_ip(host)));
-    }
-    let problem = format!("`{port}` is no port: ports are 0 (any) to 65535");
-    Err(EndpointError::new(text, end + 1..at.end, problem))
+fn ip(text: &str) -> Result<SocketAddr, String> {
+    text.parse().map_err(|_| match text.parse::<IpAddr>() {
+        Ok(address) => format!("the port is missing: write {}", SocketAddr::new(address, 7400)),
+        Err(_) => format!(
+            "`{text}` is no address with a port of 0 to 65535: write one as in 10.0.0.1:7400, \
+             [fd00::1]:7400 or robot.local:7400"
+        ),
+    })
 }
 
-/// An IP address stands there without a port.
 #[cfg(any(feature = "udp", feature = "tcp"))]
-fn no_port(example: impl std::fmt::Display) -> String {
-    format!("the port is missing: write {example}")
+fn interface<'a>(settings: &mut Settings<'a>) -> Result<Option<String>, Wrong<'a>> {
+    let expected = "the name of an interface, as in eth0: 1 to 15 letters without slash";
+    settings.take("interface", expected, |text| is_interface(text).then(|| text.to_owned()))
 }
 
 #[cfg(feature = "udp")]
-fn udp(parts: &Parts<'_>, settings: &mut Settings<'_>) -> Result<Endpoint, EndpointError> {
-    let address = ip(parts.text, parts.at.clone(), parts.place)?;
-    parts.no_broadcast(address)?;
+fn udp<'a>(address: SocketAddr, settings: &mut Settings<'a>) -> Result<Endpoint, Wrong<'a>> {
     let mut config = UdpConfig { bind: address, ..UdpConfig::default() };
     if address.ip().is_multicast() {
-        if address.port() == 0 {
-            return Err(parts.error(no_port(SocketAddr::new(address.ip(), 7400))));
-        }
-        if validation::is_reserved(address.ip()) {
-            return Err(parts.error(format!(
-                "`{}` is a group of the network's own protocols: write one for your own use, as in \
-                 239.255.0.1 or ff15::1",
-                address.ip()
-            )));
-        }
         let any: IpAddr = match address {
             SocketAddr::V4(_) => Ipv4Addr::UNSPECIFIED.into(),
             SocketAddr::V6(_) => Ipv6Addr::UNSPECIFIED.into(),
@@ -382,15 +333,15 @@ fn udp(parts: &Parts<'_>, settings: &mut Settings<'_>) -> Result<Endpoint, Endpo
             format!("our own address with its port, as in {}", SocketAddr::new(any, 7401));
         let own = settings.take("own", expected, |text| {
             let own: SocketAddr = text.parse().ok()?;
-            let everybodys = own.ip().is_multicast() || validation::is_broadcast(own.ip());
-            (own.is_ipv4() == address.is_ipv4() && !everybodys).then_some(own)
+            let is_right = own.is_ipv4() == address.is_ipv4() && validation::check_own(own).is_ok();
+            is_right.then_some(own)
         })?;
         settings.number("hops", 1..=255, &mut config.hops)?;
         config.bind = own.unwrap_or(SocketAddr::new(any, 0));
         config.group = Some(address);
     }
-    config.interface = settings.interface()?;
-    config.mtu = largest_frame(settings, 65_507)?;
+    config.interface = interface(settings)?;
+    config.mtu = settings.given("mtu", LEAST_BYTES..=65_507)?;
     settings.number("receive_buffer", 4_096..=1 << 30, &mut config.receive_buffer)?;
     settings.number("send_buffer", 4_096..=1 << 30, &mut config.send_buffer)?;
     settings.number("queue_frames", 1..=65_536, &mut config.queue_frames)?;
@@ -398,37 +349,27 @@ fn udp(parts: &Parts<'_>, settings: &mut Settings<'_>) -> Result<Endpoint, Endpo
 }
 
 #[cfg(feature = "tcp")]
-fn tcp(parts: &Parts<'_>, settings: &mut Settings<'_>) -> Result<Endpoint, EndpointError> {
-    let bind = ip(parts.text, parts.at.clone(), parts.place)?;
-    parts.no_broadcast(bind)?;
-    if bind.ip().is_multicast() {
-        return Err(parts.error("a group is heard by UDP only: write udp:// before it"));
-    }
-    let mut config = TcpConfig { bind, interface: settings.interface()?, ..TcpConfig::default() };
-    let TcpConfig { mtu, peers, strangers, queue_bytes, .. } = &mut config;
-    connections(settings, [mtu, peers, strangers, queue_bytes])?;
-    settings.span("connect_timeout", TIMEOUT, &mut config.connect_timeout)?;
-    settings.span("hello_timeout", TIMEOUT, &mut config.hello_timeout)?;
-    settings.span("user_timeout", TIMEOUT, &mut config.user_timeout)?;
+fn tcp<'a>(bind: SocketAddr, settings: &mut Settings<'a>) -> Result<Endpoint, Wrong<'a>> {
+    let interface = interface(settings)?;
+    let mut config = TcpConfig { bind, interface, ..TcpConfig::default() };
+    limits(settings, &mut config.limits)?;
+    settings.span("user_timeout", &mut config.user_timeout)?;
     Ok(Endpoint::Tcp(config))
 }
 
-/// How much a medium of connections holds: `mtu`, `peers`, `strangers` and `queue_bytes`.
+/// How much a medium of connections holds, and how long it waits for peers.
 #[cfg(any(feature = "tcp", feature = "unix"))]
-fn connections(
-    settings: &mut Settings<'_>,
-    [mtu, peers, strangers, queue_bytes]: [&mut usize; 4],
-) -> Result<(), EndpointError> {
-    settings.number("mtu", LEAST_BYTES..=MOST_BYTES, mtu)?;
-    settings.number("peers", 1..=65_536, peers)?;
-    settings.number("strangers", 1..=65_536, strangers)?;
-    settings.number("queue_bytes", LEAST_BYTES..=1 << 30, queue_bytes)
+fn limits<'a>(settings: &mut Settings<'a>, limits: &mut StreamLimits) -> Result<(), Wrong<'a>> {
+    settings.number("mtu", LEAST_BYTES..=MOST_BYTES, &mut limits.mtu)?;
+    settings.number("peers", 1..=65_536, &mut limits.peers)?;
+    settings.number("strangers", 1..=65_536, &mut limits.strangers)?;
+    settings.number("queue_bytes", LEAST_BYTES..=1 << 30, &mut limits.queue_bytes)?;
+    settings.span("connect_timeout", &mut limits.connect_timeout)?;
+    settings.span("hello_timeout", &mut limits.hello_timeout)
 }
 
 #[cfg(feature = "unix")]
-fn unix(parts: &Parts<'_>, settings: &mut Settings<'_>) -> Result<Endpoint, EndpointError> {
-    let path = parts.path("unix:///run/robot.sock")?;
-    check_socket_path(path.as_os_str().len()).map_err(|problem| parts.error(problem))?;
+fn unix<'a>(path: PathBuf, settings: &mut Settings<'a>) -> Result<Endpoint, Wrong<'a>> {
     let mut config = UnixConfig::new(path);
     let mode = settings.take("mode", "permissions in octal, as in 660", |text| {
         u32::from_str_radix(text, 8).ok().filter(|mode| *mode <= 0o777)
@@ -438,59 +379,55 @@ fn unix(parts: &Parts<'_>, settings: &mut Settings<'_>) -> Result<Endpoint, Endp
         text.split(',').map(|user| user.parse().ok()).collect()
     })?;
     config.users = users.unwrap_or_default();
-    let UnixConfig { mtu, peers, strangers, queue_bytes, .. } = &mut config;
-    connections(settings, [mtu, peers, strangers, queue_bytes])?;
-    settings.span("connect_timeout", TIMEOUT, &mut config.connect_timeout)?;
-    settings.span("hello_timeout", TIMEOUT, &mut config.hello_timeout)?;
+    limits(settings, &mut config.limits)?;
     Ok(Endpoint::Unix(config))
 }
 
 #[cfg(feature = "serial")]
-fn serial(parts: &Parts<'_>, settings: &mut Settings<'_>) -> Result<Endpoint, EndpointError> {
-    let mut config = SerialConfig::new(parts.path("serial:///dev/ttyUSB0")?);
-    settings.number("baud", BAUD, &mut config.baud)?;
+fn serial<'a>(path: PathBuf, settings: &mut Settings<'a>) -> Result<Endpoint, Wrong<'a>> {
+    let mut config = SerialConfig::new(path);
+    config.baud = settings.given("baud", BAUD)?;
     let parities = [("none", Parity::None), ("odd", Parity::Odd), ("even", Parity::Even)];
     settings.choice("parity", &parities, &mut config.parity)?;
-    let stops = [("1", StopBits::One), ("2", StopBits::Two)];
-    settings.choice("stop_bits", &stops, &mut config.stop_bits)?;
+    settings.choice(
+        "stop_bits",
+        &[(1, StopBits::One), (2, StopBits::Two)],
+        &mut config.stop_bits,
+    )?;
     // XON and XOFF are not among them: their bytes stand in frames, too.
     let flows = [("none", false), ("hardware", true)];
     settings.choice("flow", &flows, &mut config.hardware_flow)?;
     config.rs485 = rs485(settings)?;
-    if config.hardware_flow && matches!(config.rs485, DirectionControl::Driver(_)) {
-        return Err(
-            settings.contradiction("flow", "RTS turns the line with rs485=true: leave flow out")
-        );
+    if config.rs485.is_some() && config.hardware_flow {
+        settings.contradiction("flow", "RTS turns the line with rs485=true: leave flow out")?;
     }
-    config.mtu = largest_frame(settings, 65_535)?;
-    settings.span("queue_time", TIMEOUT, &mut config.queue_time)?;
+    config.mtu = settings.given("mtu", LEAST_BYTES..=65_535)?;
+    settings.span("queue_time", &mut config.queue_time)?;
     Ok(Endpoint::Serial(config))
 }
 
-/// Whether and how the driver turns the line.
+/// How the driver turns the line, if it does.
 #[cfg(feature = "serial")]
-fn rs485(settings: &mut Settings<'_>) -> Result<DirectionControl, EndpointError> {
-    let mut how = Rs485::default();
-    let turns: Option<bool> = settings.take("rs485", "true or false", |text| text.parse().ok())?;
-    settings.choice("rts", &[("high", false), ("low", true)], &mut how.rts_low)?;
-    let times = Duration::ZERO..=Duration::from_millis(100);
-    settings.span("rts_before", times.clone(), &mut how.before)?;
-    settings.span("rts_after", times, &mut how.after)?;
-    let given = ["rts", "rts_before", "rts_after"].into_iter().find(|key| settings.has(key));
-    if let Some(key) = given.filter(|_| turns != Some(true)) {
-        let why = "RTS is the driver's where it turns a line of RS-485: add rs485=true";
-        return Err(settings.contradiction(key, why));
-    }
-    for (key, span) in [("rts_before", how.before), ("rts_after", how.after)] {
-        if !Rs485::is_whole(span) {
-            return Err(settings.contradiction(key, Rs485::WHOLE));
+fn rs485<'a>(settings: &mut Settings<'a>) -> Result<Option<Rs485>, Wrong<'a>> {
+    let mut turns = false;
+    settings.switch("rs485", &mut turns)?;
+    if !turns {
+        for key in ["rts", "rts_before", "rts_after"] {
+            let why = "RTS is the driver's where it turns a line of RS-485: add rs485=true";
+            settings.contradiction(key, why)?;
         }
+        return Ok(None);
     }
-    Ok(match turns {
-        None => DirectionControl::Unchanged,
-        Some(false) => DirectionControl::Off,
-        Some(true) => DirectionControl::Driver(how),
-    })
+    let mut how = Rs485::default();
+    settings.choice("rts", &[("high", false), ("low", true)], &mut how.rts_low)?;
+    for (key, target) in [("rts_before", &mut how.before), ("rts_after", &mut how.after)] {
+        let span = settings.take(key, "whole milliseconds, from 0ms to 100ms", |text| {
+            let most = Duration::from_millis(100);
+            duration(text).filter(|span| *span <= most && Rs485::is_whole(*span))
+        })?;
+        *target = span.unwrap_or(*target);
+    }
+    Ok(Some(how))
 }
 
 /// What serial ports of today can, with room above, in bits a second.
@@ -499,77 +436,62 @@ const BAUD: std::ops::RangeInclusive<u64> = 50..=50_000_000;
 const ONLY_FD: &str = "only CAN FD frames can switch the bit rate: add fd=true";
 
 /// Whether frames are those of CAN FD, and switch the bit rate.
-fn can_fd(
-    settings: &mut Settings<'_>,
+fn can_fd<'a>(
+    settings: &mut Settings<'a>,
     fd: &mut bool,
     bit_rate_switch: &mut bool,
-) -> Result<(), EndpointError> {
+) -> Result<(), Wrong<'a>> {
     settings.switch("fd", fd)?;
     settings.switch("bit_rate_switch", bit_rate_switch)?;
     match *bit_rate_switch && !*fd {
-        true => Err(settings.contradiction("bit_rate_switch", ONLY_FD)),
+        true => settings.contradiction("bit_rate_switch", ONLY_FD),
         false => Ok(()),
     }
 }
 
-fn can(parts: &Parts<'_>, settings: &mut Settings<'_>) -> Result<Endpoint, EndpointError> {
-    if !is_interface(parts.place) {
-        return Err(parts.error("the name of an interface is missing, as in can://can0"));
+fn can<'a>(place: &'a str, settings: &mut Settings<'a>) -> Result<Endpoint, Wrong<'a>> {
+    if !is_interface(place) {
+        let problem = "the name of an interface is missing, as in can://can0";
+        return Err(Wrong(place, problem.to_owned()));
     }
-    let mut config = CanConfig::new(parts.place);
+    let mut config = CanConfig::new(place);
     can_fd(settings, &mut config.fd, &mut config.bit_rate_switch)?;
     settings.number("bitrate", 10_000..=1_000_000, &mut config.bitrate)?;
     can_node(settings, &mut config.node)?;
     Ok(Endpoint::Can(config))
 }
 
-fn slcan(parts: &Parts<'_>, settings: &mut Settings<'_>) -> Result<Endpoint, EndpointError> {
-    let mut config = SlcanConfig::new(parts.path("slcan:///dev/ttyACM0")?);
-    let rate = settings.one_of("bitrate", &SLCAN_BIT_RATES)?;
-    config.bitrate = rate.unwrap_or(config.bitrate);
+fn slcan<'a>(path: PathBuf, settings: &mut Settings<'a>) -> Result<Endpoint, Wrong<'a>> {
+    let mut config = SlcanConfig::new(path);
     can_fd(settings, &mut config.fd, &mut config.bit_rate_switch)?;
-    if let Some(rate) = settings.one_of("data_bitrate", &SLCAN_DATA_RATES)? {
-        if !config.fd {
-            return Err(settings.contradiction("data_bitrate", ONLY_FD));
-        }
-        config.data_bitrate = rate;
+    let rates = SLCAN_BIT_RATES.map(|rate| (rate, rate));
+    settings.choice("bitrate", &rates, &mut config.bitrate)?;
+    let rates = SLCAN_DATA_RATES.map(|rate| (rate, rate));
+    settings.choice("data_bitrate", &rates, &mut config.data_bitrate)?;
+    if !config.fd {
+        settings.contradiction("data_bitrate", ONLY_FD)?;
     }
     settings.number("baud", BAUD, &mut config.baud)?;
     can_node(settings, &mut config.node)?;
     Ok(Endpoint::Slcan(config))
 }
 
-fn can_node(settings: &mut Settings<'_>, node: &mut CanNodeConfig) -> Result<(), EndpointError> {
+fn can_node<'a>(settings: &mut Settings<'a>, node: &mut CanNodeConfig) -> Result<(), Wrong<'a>> {
     settings.number("address", 0..=254, &mut node.address)?;
     settings.number("mtu", LEAST_BYTES..=MOST_BYTES, &mut node.mtu)?;
     settings.number("queue_frames", 1..=65_536, &mut node.queue_frames)?;
     settings.number("block_size", 0..=255, &mut node.block_size)?;
-    // Those that ISO 15765-2 can say: nothing, 100 to 900 µs in steps of 100, 1 to 127 ms.
+    // Those that ISO 15765-2 can say.
     let expected = "nothing (0ms), 100us to 900us in steps of 100us, or 1ms to 127ms";
-    let mut separation = node.separation;
-    let range = Duration::ZERO..=Duration::from_millis(127);
-    settings.span("separation", range, &mut separation)?;
-    let micros = separation.as_micros();
-    let step = if micros < 1_000 { 100 } else { 1_000 };
-    if !micros.is_multiple_of(step) {
-        return Err(settings.contradiction("separation", expected));
-    }
-    node.separation = separation;
+    let separation = settings.take("separation", expected, |text| {
+        duration(text).filter(|span| match span.as_micros() {
+            0..1_000 => span.as_micros().is_multiple_of(100),
+            1_000..=127_000 => span.as_micros().is_multiple_of(1_000),
+            _ => false,
+        })
+    })?;
+    node.separation = separation.unwrap_or(node.separation);
     Ok(())
-}
-
-fn memory(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
-    if parts.place.is_empty() {
-        return Err(parts.error("the name of our end is missing, as in memory://left"));
-    }
-    Ok(Endpoint::Memory(parts.place.to_owned()))
-}
-
-#[cfg(any(feature = "udp", feature = "serial"))]
-fn largest_frame(settings: &mut Settings<'_>, most: u64) -> Result<Option<usize>, EndpointError> {
-    let mut mtu = 0;
-    settings.number("mtu", LEAST_BYTES..=most, &mut mtu)?;
-    Ok((mtu > 0).then_some(mtu))
 }
 
 #[cfg(test)]

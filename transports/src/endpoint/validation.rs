@@ -2,37 +2,37 @@
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
-/// Whether it is the broadcast address of every network (RFC 919). Only the interface knows the
-/// broadcast address of one network, such as 10.0.0.255.
-pub(super) fn is_broadcast(ip: IpAddr) -> bool {
-    ip == IpAddr::V4(Ipv4Addr::BROADCAST)
+/// Whether it is a group's, or the broadcast address of every network (RFC 919). Only the interface
+/// knows the broadcast address of one network, such as 10.0.0.255.
+fn is_of_many(ip: IpAddr) -> bool {
+    ip.is_multicast() || ip == IpAddr::V4(Ipv4Addr::BROADCAST)
 }
 
-/// Whether a group is one of the network's own protocols: 224.0.0.0/24 is (RFC 5771, section 4),
-/// and of IPv6 all that are assigned for good (RFC 4291, section 2.7: without the flag T).
+/// A group has a port, and is none of the network's own protocols: 224.0.0.0/24 is (RFC 5771,
+/// section 4), and of IPv6 all that are assigned for good (RFC 4291, section 2.7: without the flag
+/// T).
 #[cfg(feature = "udp")]
-pub(super) fn is_reserved(group: IpAddr) -> bool {
-    match group {
+pub(super) fn check_group(group: SocketAddr) -> Result<(), String> {
+    let is_reserved = match group.ip() {
         IpAddr::V4(group) => group.octets()[..3] == [224, 0, 0],
-        IpAddr::V6(group) => group.is_multicast() && group.octets()[1] & 0x10 == 0,
+        IpAddr::V6(group) => group.octets()[1] & 0x10 == 0,
+    };
+    match is_reserved || group.port() == 0 {
+        false => Ok(()),
+        true => Err(format!(
+            "`{group}` is a group of the network's own protocols, or has no port: write one for \
+             your own use, as in 239.255.0.1:7400 or [ff15::1]:7400"
+        )),
     }
 }
 
-/// Why no peer can be at this address.
-pub(super) fn no_peer(peer: SocketAddr) -> Option<&'static str> {
-    if peer.port() == 0 {
-        Some("no peer is at port 0: write the port that it listens at")
-    } else if peer.ip().is_unspecified() {
-        Some("it is every address of the computer that writes it: write one of the neighbour's")
-    } else if is_broadcast(peer.ip()) {
-        Some("it is the address of all: write the neighbour's")
-    } else if peer.ip().is_multicast() {
-        Some(
-            "it is a group's address, and no neighbour's own: only a network that hears the group sends there",
-        )
-    } else {
-        None
-    }
+/// What is wrong with an address that is no host's.
+pub(super) const NO_PEER: &str = "it is no address of one neighbour: write the neighbour's, with \
+                                  the port that it listens at";
+
+/// Whether one host can be there.
+pub(super) fn is_host_address(peer: SocketAddr) -> bool {
+    peer.port() != 0 && !peer.ip().is_unspecified() && !is_of_many(peer.ip())
 }
 
 /// Whether a socket that is bound so hears what is sent there, as far as that can be known here.
@@ -40,4 +40,15 @@ pub(super) fn is_own(bind: SocketAddr, peer: SocketAddr) -> bool {
     let is_here = bind.ip() == peer.ip() || bind.ip().is_unspecified() && peer.ip().is_loopback();
     // Port 0 is a free one that is not known yet.
     is_here && bind.port() == peer.port() && bind.port() != 0
+}
+
+/// Only a group, or all of a network, has such an address.
+pub(super) fn check_own(own: SocketAddr) -> Result<(), String> {
+    match is_of_many(own.ip()) {
+        false => Ok(()),
+        true => Err(format!(
+            "{own} is the address of many, and no computer's own address: write 0.0.0.0 or one of \
+             this computer's; a group is heard by an endpoint such as udp://239.255.0.1:7400"
+        )),
+    }
 }

@@ -3,50 +3,16 @@
 use blastema_core::net::routing::MTU_MIN;
 use std::path::PathBuf;
 use std::time::Duration;
+pub use tokio_serial::{Parity, StopBits};
 
 /// The largest frame that a line has unless told, in bytes: beyond, headers cost next to nothing.
 const MTU_MAX: usize = 2_048;
 /// How long the largest frame may keep a line, and what is urgent waiting, unless told.
 const FRAME_TIME: Duration = Duration::from_millis(50);
 
-/// The parity bit of a serial line.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Parity {
-    /// There is none.
-    #[default]
-    None,
-    /// It makes the number of ones odd.
-    Odd,
-    /// It makes the number of ones even.
-    Even,
-}
-
-/// How long the pause after each byte is on a serial line.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum StopBits {
-    /// One stop bit.
-    #[default]
-    One,
-    /// Two stop bits.
-    Two,
-}
-
-/// Who turns a line of RS-485. A driver keeps what it was told when the port is closed, until the
-/// next start of the system or longer.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub enum DirectionControl {
-    /// The port's driver does what it did, which is most often nothing. An adapter that turns the
-    /// line by itself needs no more.
-    #[default]
-    Unchanged,
-    /// Not the port's driver, whatever it was told before: RTS is as on any line.
-    Off,
-    /// The port's driver (Linux).
-    Driver(Rs485),
-}
-
 /// How the port's driver turns a line of RS-485 (Linux): it raises RTS before it sends, and lowers
-/// it after.
+/// it after. The driver keeps that when the port is closed, until the next start of the system or
+/// longer.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Rs485 {
@@ -76,7 +42,7 @@ impl Rs485 {
 /// ```
 /// use blastema_transports::SerialConfig;
 /// let mut config = SerialConfig::new("/dev/serial/by-id/usb-FTDI_A4008NXG-if00-port0");
-/// config.baud = 921_600;
+/// config.baud = Some(921_600);
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
@@ -84,17 +50,18 @@ pub struct SerialConfig {
     /// The port. Best one of `/dev/serial/by-id/`, which stays the same when it is plugged in
     /// again.
     pub path: PathBuf,
-    /// The line's speed, in bits a second; both ends must have the same. A USB device (CDC-ACM)
-    /// without a line is not held to one of 115,200 and more; below, it limits what is sent.
-    pub baud: u32,
+    /// The line's speed, in bits a second; both ends must have the same. `None` is 115,200, and
+    /// does not limit what is sent to a USB device (CDC-ACM): give the speed of a line behind it.
+    pub baud: Option<u32>,
     /// The parity bit. The frames' checksum finds more than it does.
     pub parity: Parity,
     /// How many stop bits.
     pub stop_bits: StopBits,
     /// Whether the other end may stop us by a wire of its own (RTS/CTS).
     pub hardware_flow: bool,
-    /// Whether and how the port's driver turns a line of RS-485.
-    pub rs485: DirectionControl,
+    /// How the port's driver turns a line of RS-485. `None` leaves the driver as it is: an adapter
+    /// that turns the line by itself needs no more.
+    pub rs485: Option<Rs485>,
     /// The largest frame, in bytes. By default what takes 50 ms on the line, but from 96 to 2,048:
     /// a larger one keeps others, and hellos, waiting behind it; of a smaller one, more is headers.
     /// What is larger than the other end's is noise to it.
@@ -110,14 +77,19 @@ impl SerialConfig {
     pub fn new(path: impl Into<PathBuf>) -> Self {
         SerialConfig {
             path: path.into(),
-            baud: 115_200,
+            baud: None,
             parity: Parity::None,
             stop_bits: StopBits::One,
             hardware_flow: false,
-            rs485: DirectionControl::Unchanged,
+            rs485: None,
             mtu: None,
             queue_time: Duration::from_millis(100),
         }
+    }
+
+    /// The line's speed, in bits a second.
+    pub(super) fn baud(&self) -> u32 {
+        self.baud.unwrap_or(115_200)
     }
 
     /// What a byte takes on the line, in bits: a start bit, eight of its own, and what follows.
@@ -133,14 +105,15 @@ impl SerialConfig {
     /// How many bytes the line carries in this time.
     pub fn bytes_in(&self, span: Duration) -> usize {
         let micros = u64::try_from(span.as_micros()).unwrap_or(u64::MAX);
-        let bytes = u64::from(self.baud).saturating_mul(micros) / (self.bits_a_byte() * 1_000_000);
+        let bytes =
+            u64::from(self.baud()).saturating_mul(micros) / (self.bits_a_byte() * 1_000_000);
         usize::try_from(bytes).unwrap_or(usize::MAX)
     }
 
     /// How long this many bytes take on the line.
     pub fn time_of(&self, bytes: usize) -> Duration {
         let bits = (bytes as u64).saturating_mul(self.bits_a_byte());
-        Duration::from_micros(bits.saturating_mul(1_000_000) / u64::from(self.baud.max(1)))
+        Duration::from_micros(bits.saturating_mul(1_000_000) / u64::from(self.baud().max(1)))
     }
 
     /// The largest frame, in bytes.
@@ -157,7 +130,7 @@ mod tests {
     fn the_largest_frame_suits_the_speed() {
         let check = |baud, expected| {
             let mut config = SerialConfig::new("/dev/null");
-            config.baud = baud;
+            config.baud = Some(baud);
             assert_eq!(config.mtu(), expected, "at {baud} bits a second");
         };
 
@@ -170,7 +143,7 @@ mod tests {
     #[test]
     fn a_byte_takes_as_many_bits_as_the_settings_say() {
         let mut config = SerialConfig::new("/dev/null");
-        config.baud = 12_000;
+        config.baud = Some(12_000);
         assert_eq!(config.time_of(1_200), Duration::from_secs(1));
 
         (config.parity, config.stop_bits) = (Parity::Even, StopBits::Two);

@@ -18,7 +18,8 @@ mod line_pacer;
 
 pub mod framing;
 
-pub use self::config::{DirectionControl, Parity, Rs485, SerialConfig, StopBits};
+pub use self::config::{Parity, Rs485, SerialConfig, StopBits};
+pub use tokio_serial::SerialStream;
 
 use self::framing::{Deframer, encode, encoded_length};
 use self::line_pacer::{DriverBacklog, LinePacer, PIECE};
@@ -35,7 +36,7 @@ use std::task::{Context, Poll, ready};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::Sleep;
-use tokio_serial::{ClearBuffer, DataBits, FlowControl, SerialPort, SerialStream};
+use tokio_serial::{ClearBuffer, DataBits, FlowControl, SerialPort};
 
 /// A line that carries so many bytes in a second is not slow: hellos are nothing to it.
 const FAST: u64 = 1_000_000;
@@ -46,11 +47,8 @@ const CHUNK: usize = 4096;
 const LEAST_FRAMES: usize = 8;
 /// The fewest bytes that are written at once: a hello, on the slowest lines.
 const LEAST_PIECE: usize = 32;
-/// So many bytes are written at once to a device without a line of its own.
+/// So many bytes are written at once to a USB device that is not held to a speed.
 const DEVICE_PIECE: usize = 1024;
-/// From this speed on, one of a device without a line may mean nothing. Who asks for less knows of
-/// a line.
-const NOMINAL_BAUD: u32 = 115_200;
 
 /// A serial line as a medium.
 pub struct SerialLine {
@@ -121,9 +119,7 @@ impl SerialLine {
 ///
 /// # Errors
 /// The system refuses it; the text says what helps.
-pub fn open_bytes(
-    config: &SerialConfig,
-) -> io::Result<impl AsyncRead + AsyncWrite + Send + Unpin + 'static> {
+pub fn open_bytes(config: &SerialConfig) -> io::Result<SerialStream> {
     let port = open_port(config)?;
     // A pty cannot always do so, and has nothing to drop.
     let _ = port.clear(ClearBuffer::All);
@@ -131,26 +127,15 @@ pub fn open_bytes(
 }
 
 fn open_port(config: &SerialConfig) -> io::Result<SerialStream> {
-    let SerialConfig { path, baud, parity, stop_bits, hardware_flow, rs485, .. } = config;
-    let parity = match parity {
-        Parity::None => tokio_serial::Parity::None,
-        Parity::Odd => tokio_serial::Parity::Odd,
-        Parity::Even => tokio_serial::Parity::Even,
-    };
-    let stop_bits = match stop_bits {
-        StopBits::One => tokio_serial::StopBits::One,
-        StopBits::Two => tokio_serial::StopBits::Two,
-    };
+    let SerialConfig { path, parity, stop_bits, hardware_flow, rs485, .. } = config;
     let flow = if *hardware_flow { FlowControl::Hardware } else { FlowControl::None };
-    let builder = tokio_serial::new(path.to_string_lossy(), *baud)
+    let builder = tokio_serial::new(path.to_string_lossy(), config.baud())
         .data_bits(DataBits::Eight)
-        .parity(parity)
-        .stop_bits(stop_bits)
+        .parity(*parity)
+        .stop_bits(*stop_bits)
         .flow_control(flow);
-    match rs485 {
-        DirectionControl::Unchanged => {}
-        DirectionControl::Off => turn_no_more(path)?,
-        DirectionControl::Driver(how) => turn_by_driver(path, how)?,
+    if let Some(how) = rs485 {
+        turn_by_driver(path, how)?;
     }
     // The lines DTR and RTS are left as the driver sets them: a pty has none, and many a device
     // takes a change of them for a reset.
@@ -177,7 +162,7 @@ impl FrameMedium for SerialLine {
     fn open(&mut self) -> io::Result<OpenedMedium> {
         self.close();
         self.port = Some(open_port(&self.config)?);
-        if self.config.baud >= NOMINAL_BAUD && is_usb_device(&self.config.path) {
+        if self.config.baud.is_none() && is_usb_device(&self.config.path) {
             self.pace = LinePacer::of_device();
         }
         Ok(OpenedMedium { local: MediumAddress::Line, mtu: self.config.mtu() })
@@ -276,27 +261,6 @@ fn turn_by_driver(path: &Path, rs485: &Rs485) -> io::Result<()> {
              use an adapter that turns by itself"
         ))
     })
-}
-
-/// Takes that back, where the driver can and was told to.
-#[cfg(target_os = "linux")]
-fn turn_no_more(path: &Path) -> io::Result<()> {
-    use serial2::rs4xx::TransceiverMode;
-    let Ok(port) = serial2::SerialPort::open(path, serial2::KeepSettings) else { return Ok(()) };
-    if !matches!(port.get_rs4xx_mode(), Ok(TransceiverMode::Rs485(_))) {
-        return Ok(());
-    }
-    port.set_rs4xx_mode(TransceiverMode::Default).map_err(|error| {
-        io::Error::other(format!(
-            "{error}: the port's driver goes on to turn the line of RS-485 (rs485=false): leave that out, or \
-             choose another port"
-        ))
-    })
-}
-
-#[cfg(not(target_os = "linux"))]
-fn turn_no_more(_: &Path) -> io::Result<()> {
-    Ok(())
 }
 
 #[cfg(not(target_os = "linux"))]

@@ -1,4 +1,4 @@
-//! Frames in a stream of bytes: pure functions, given bytes from outside.
+//! Frames in a stream of bytes.
 //!
 //! ```text
 //! each side:  preamble ─ frame ─ frame ─ …
@@ -13,6 +13,9 @@
 
 use crate::frame_split::part_frame;
 use bytes::{Bytes, BytesMut};
+use socket2::SockRef;
+use std::io;
+use tokio::io::{AsyncRead, AsyncReadExt};
 
 /// How long a preamble is, in bytes.
 pub const PREAMBLE: usize = 8;
@@ -39,12 +42,9 @@ pub enum FramingError {
         /// What it speaks.
         version: u8,
     },
-    /// The other side says that it listens on no port.
-    #[error("the peer listens on no port")]
-    NoPort,
-    /// The other side says that it listens at what is no path of a socket.
-    #[error("the peer listens at no path")]
-    NoPath,
+    /// The other side says that it listens at what is no port, or no path of a socket.
+    #[error("the peer listens at no address")]
+    NoAddress,
     /// A frame larger than agreed is announced. Raise the limit on this side if it is wanted.
     #[error("a frame of {length} bytes is announced, the limit is {limit}")]
     TooLarge {
@@ -55,62 +55,78 @@ pub enum FramingError {
     },
 }
 
-/// What a node says first on every connection: the port on which it listens. Its address needs no
-/// word: the connection comes from there.
-pub fn encode_preamble(port: u16) -> [u8; PREAMBLE] {
-    let [high, low] = port.to_be_bytes();
-    let [a, b, c, d] = MAGIC;
-    [a, b, c, d, VERSION, 0, high, low]
-}
-
-/// Reads the port from a preamble.
-///
-/// # Errors
-/// The bytes are no preamble of ours.
-pub fn decode_preamble(bytes: [u8; PREAMBLE]) -> Result<u16, FramingError> {
-    let [a, b, c, d, version, zero, high, low] = bytes;
-    if [a, b, c, d] != MAGIC {
-        return Err(FramingError::Foreign);
-    }
-    if (version, zero) != (VERSION, 0) {
-        return Err(FramingError::Version { version });
-    }
-    match u16::from_be_bytes([high, low]) {
-        0 => Err(FramingError::NoPort),
-        port => Ok(port),
-    }
+/// What kind of address a preamble tells: the port of TCP, or the length of a path that follows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PreambleKind {
+    /// A port.
+    Port = 0,
+    /// The length of a path.
+    Path = 1,
 }
 
 /// The longest path of a socket that Linux takes, in bytes (`sun_path` is 108 with its closing
 /// zero).
 pub const LONGEST_PATH: usize = 107;
 
+fn preamble(kind: PreambleKind, number: u16) -> [u8; PREAMBLE] {
+    let [high, low] = number.to_be_bytes();
+    let [a, b, c, d] = MAGIC;
+    [a, b, c, d, VERSION, kind as u8, high, low]
+}
+
+/// What a node says first on every connection: the port on which it listens. Its address needs no
+/// word: the connection comes from there.
+pub fn encode_preamble(port: u16) -> [u8; PREAMBLE] {
+    preamble(PreambleKind::Port, port)
+}
+
 /// What a node says first on every connection between sockets with paths: the path at which it
 /// listens. A path that no socket can have is cut off.
 pub fn encode_path_preamble(path: &[u8]) -> Vec<u8> {
     let path = &path[..path.len().min(LONGEST_PATH)];
-    let [high, low] = (path.len() as u16).to_be_bytes();
-    [&MAGIC[..], &[VERSION, 1, high, low], path].concat()
+    [&preamble(PreambleKind::Path, path.len() as u16), path].concat()
 }
 
-/// Reads how long the path is from the first bytes of a preamble.
+/// Reads the port, or the length of the path, from a preamble.
 ///
 /// # Errors
 /// The bytes are no preamble of ours.
-pub fn decode_path_length(bytes: [u8; PREAMBLE]) -> Result<usize, FramingError> {
-    let [a, b, c, d, version, one, high, low] = bytes;
+pub fn decode_preamble(bytes: [u8; PREAMBLE], kind: PreambleKind) -> Result<u16, FramingError> {
+    let [a, b, c, d, version, named, high, low] = bytes;
     if [a, b, c, d] != MAGIC {
         return Err(FramingError::Foreign);
     }
     if version != VERSION {
         return Err(FramingError::Version { version });
     }
-    if one != 1 {
+    if named != kind as u8 {
         return Err(FramingError::Foreign);
     }
-    match usize::from(u16::from_be_bytes([high, low])) {
-        length @ 1..=LONGEST_PATH => Ok(length),
-        _ => Err(FramingError::NoPath),
+    match u16::from_be_bytes([high, low]) {
+        0 => Err(FramingError::NoAddress),
+        length if kind == PreambleKind::Path && usize::from(length) > LONGEST_PATH => {
+            Err(FramingError::NoAddress)
+        }
+        number => Ok(number),
+    }
+}
+
+/// Reads a preamble from a new connection.
+pub(crate) async fn read_preamble(
+    stream: &mut (impl AsyncRead + Unpin),
+    kind: PreambleKind,
+) -> io::Result<u16> {
+    let mut preamble = [0; PREAMBLE];
+    stream.read_exact(&mut preamble).await?;
+    decode_preamble(preamble, kind)
+        .map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))
+}
+
+/// Says a preamble: the first word on a new connection, whose empty buffer takes it whole.
+pub(crate) fn say_preamble(stream: SockRef<'_>, preamble: &[u8]) -> io::Result<()> {
+    match stream.send(preamble)? {
+        sent if sent == preamble.len() => Ok(()),
+        _ => Err(io::ErrorKind::WriteZero.into()),
     }
 }
 
@@ -225,14 +241,15 @@ mod tests {
     fn a_path_is_read_back_and_anything_else_refused() {
         let preamble = encode_path_preamble(b"/run/a.sock");
         assert_eq!(preamble, b"BLST\x01\x01\0\x0b/run/a.sock");
-        let head = |bytes: &[u8]| decode_path_length(*bytes.first_chunk().unwrap());
+        let head =
+            |bytes: &[u8]| decode_preamble(*bytes.first_chunk().unwrap(), PreambleKind::Path);
 
         assert_eq!(head(&preamble), Ok(11));
         assert_eq!(head(b"BLSTx\x01\0\x0b"), Err(FramingError::Version { version: b'x' }));
         assert_eq!(head(b"BLST\x01\0\x1c\xe8"), Err(FramingError::Foreign));
         assert_eq!(head(b"GET / HT"), Err(FramingError::Foreign));
-        assert_eq!(head(b"BLST\x01\x01\0\0"), Err(FramingError::NoPath));
-        assert_eq!(head(b"BLST\x01\x01\0\x6c"), Err(FramingError::NoPath));
+        assert_eq!(head(b"BLST\x01\x01\0\0"), Err(FramingError::NoAddress));
+        assert_eq!(head(b"BLST\x01\x01\0\x6c"), Err(FramingError::NoAddress));
         assert_eq!(encode_path_preamble(&[b'x'; 200]).len(), PREAMBLE + LONGEST_PATH);
     }
 
@@ -277,16 +294,16 @@ mod tests {
     #[test]
     fn a_preamble_is_read_back_and_anything_else_refused() {
         let check = |bytes: &[u8; PREAMBLE], expected| {
-            assert_eq!(decode_preamble(*bytes), expected, "{bytes:?}");
+            assert_eq!(decode_preamble(*bytes, PreambleKind::Port), expected, "{bytes:?}");
         };
         check(&encode_preamble(7400), Ok(7400));
         check(b"GET / HT", Err(FramingError::Foreign));
         check(b"BLST\x02\0\x1c\xe8", Err(FramingError::Version { version: 2 }));
-        check(b"BLST\x01\x07\x1c\xe8", Err(FramingError::Version { version: 1 }));
-        check(b"BLST\x01\0\0\0", Err(FramingError::NoPort));
+        check(b"BLST\x01\x07\x1c\xe8", Err(FramingError::Foreign));
+        check(b"BLST\x01\0\0\0", Err(FramingError::NoAddress));
         let mut random = Random::new(7);
         for _ in 0..100_000 {
-            let _ = decode_preamble(random.next().to_be_bytes());
+            let _ = decode_preamble(random.next().to_be_bytes(), PreambleKind::Port);
         }
     }
 }

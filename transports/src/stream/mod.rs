@@ -33,9 +33,10 @@ use self::connection::{DisconnectReason, ReadEnd};
 use self::peer::{ConnectionState, StreamPeer};
 use self::stranger::{Greeting, Stranger, UnprovenConnection};
 use crate::descriptors::DescriptorWarning;
-use crate::medium::PollBudget;
+use crate::medium::{MediumActor, PollBudget, transport};
 use crate::reopen_backoff::ReopenBackoff;
 use crate::upstream::Upstream;
+use actix::Context;
 use blastema_contract::transport::{
     Adopt, Attach, ConnectionTrust, MediumAddress, Transmit, TransmitBacklog, TransportReport,
 };
@@ -67,56 +68,11 @@ const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 /// A handshake under way.
 pub(crate) type HandshakeFuture<T> = Pin<Box<dyn Future<Output = io::Result<T>>>>;
 
-/// Makes a transport of a newtype of [`Streams`].
-macro_rules! stream_transport {
-    ($transport:ty) => {
-        crate::medium::transport!($transport);
-
-        impl crate::medium::MediumActor for $transport {
-            fn upstream(&mut self) -> &mut crate::upstream::Upstream {
-                &mut self.0.upstream
-            }
-
-            fn open(&mut self, _: &mut actix::Context<Self>) {
-                self.0.open();
-            }
-
-            fn attach(
-                &mut self,
-                message: blastema_contract::transport::Attach,
-                _: &mut actix::Context<Self>,
-            ) {
-                self.0.attach(message);
-            }
-
-            fn adopt(&mut self, message: blastema_contract::transport::Adopt) {
-                self.0.adopt(message);
-            }
-
-            fn transmit(&mut self, message: blastema_contract::transport::Transmit) {
-                self.0.transmit(message);
-            }
-
-            fn backlog(&self) -> blastema_contract::transport::TransmitBacklog {
-                self.0.backlog()
-            }
-
-            fn pump(&mut self, task: &mut std::task::Context<'_>) {
-                self.0.pump(task);
-            }
-
-            fn shut(&mut self) {
-                self.0.shut();
-            }
-        }
-    };
-}
-
-pub(crate) use stream_transport;
-
 /// What makes streams.
-pub(crate) trait StreamFamily: 'static {
+pub trait StreamFamily: 'static {
+    /// A connection.
     type Stream: AsyncRead + AsyncWrite + Unpin + 'static;
+    /// What takes connections.
     type Listener;
     /// Where a peer listens.
     type Address: Clone + Debug + Ord + Into<MediumAddress>;
@@ -124,7 +80,7 @@ pub(crate) trait StreamFamily: 'static {
     type Origin: Debug;
 
     /// How much is held.
-    fn bounds(&self) -> StreamLimits;
+    fn limits(&self) -> &StreamLimits;
 
     /// Opens our own address; an error says what the user may do.
     fn listen(&mut self) -> Result<(Self::Listener, Self::Address), String>;
@@ -158,21 +114,44 @@ pub(crate) trait StreamFamily: 'static {
     fn seed(address: &Self::Address) -> u64;
 }
 
-/// How much a transport holds.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct StreamLimits {
-    pub(crate) mtu: usize,
-    pub(crate) peers: usize,
-    pub(crate) strangers: usize,
-    pub(crate) queue_bytes: usize,
-    pub(crate) hello_timeout: Duration,
+/// How much a transport of connections holds, and how long it waits for peers.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct StreamLimits {
+    /// The largest frame, in bytes. Larger frames keep others waiting longer behind them, and raise
+    /// what each connection may hold.
+    pub mtu: usize,
+    /// How many peers have a place; beyond, they are refused.
+    pub peers: usize,
+    /// How many connections may be open on which the peer has not said who it is or, with keys, has
+    /// not proven it.
+    pub strangers: usize,
+    /// How many bytes wait for each peer; beyond, frames are dropped.
+    pub queue_bytes: usize,
+    /// How long making a connection may take.
+    pub connect_timeout: Duration,
+    /// How long a stranger may say nothing and, with keys, then take to prove who it is.
+    pub hello_timeout: Duration,
+}
+
+impl Default for StreamLimits {
+    fn default() -> Self {
+        StreamLimits {
+            mtu: 64 * 1024,
+            peers: 64,
+            strangers: 32,
+            queue_bytes: 1 << 20,
+            connect_timeout: Duration::from_secs(1),
+            hello_timeout: Duration::from_secs(2),
+        }
+    }
 }
 
 /// All connections of one transport.
-pub(crate) struct Streams<F: StreamFamily> {
+pub struct Streams<F: StreamFamily> {
     family: F,
-    bounds: StreamLimits,
-    pub(crate) upstream: Upstream,
+    limits: StreamLimits,
+    upstream: Upstream,
     reopening: ReopenBackoff,
     listener: Option<Listener<F>>,
     /// The oldest first.
@@ -194,9 +173,9 @@ struct Listener<F: StreamFamily> {
 }
 
 impl<F: StreamFamily> Streams<F> {
-    pub(crate) fn new(family: F) -> Self {
+    pub(crate) fn over(family: F) -> Self {
         Streams {
-            bounds: family.bounds(),
+            limits: family.limits().clone(),
             family,
             upstream: Upstream::default(),
             reopening: ReopenBackoff::default(),
@@ -215,7 +194,7 @@ impl<F: StreamFamily> Streams<F> {
             Ok((socket, local)) => {
                 self.reopening.reset();
                 self.listener = Some(Listener { socket, local: local.clone(), pause: None });
-                let (local, mtu, is_probed) = (local.into(), self.bounds.mtu, false);
+                let (local, mtu, is_probed) = (local.into(), self.limits.mtu, false);
                 self.upstream.announce(TransportReport::Opened { local, mtu, is_probed });
             }
             Err(reason) => {
@@ -238,7 +217,7 @@ impl<F: StreamFamily> Streams<F> {
             match F::poll_accept(socket, task) {
                 Poll::Ready(Ok((stream, origin))) => {
                     let said = self.family.greet(stream, &origin);
-                    if self.strangers.len() >= self.bounds.strangers {
+                    if self.strangers.len() >= self.limits.strangers {
                         let oldest = self.strangers.pop_front();
                         self.upstream.counters.dropped += oldest.map_or(0, Stranger::abandon);
                         self.upstream.counters.refused += 1;
@@ -321,7 +300,7 @@ impl<F: StreamFamily> Streams<F> {
         }
         let number = self.numbered;
         self.numbered = number.wrapping_add(1);
-        let timeout = self.bounds.hello_timeout;
+        let timeout = self.limits.hello_timeout;
         let unproven = UnprovenConnection::new(number, claimed.into(), stream, timeout);
         Some(Stranger::Unproven(unproven))
     }
@@ -336,26 +315,6 @@ impl<F: StreamFamily> Streams<F> {
         match reason {
             DisconnectReason::Lost => self.upstream.counters.errors += 1,
             DisconnectReason::Refused => self.upstream.counters.refused += 1,
-        }
-    }
-
-    /// The connection is a peer's from now on, and none that it had before is.
-    pub(crate) fn adopt(&mut self, message: Adopt) {
-        let Adopt { connection: MediumAddress::Connection { number, .. }, peer } = message else {
-            return;
-        };
-        let Some(address) = F::address(peer.clone()) else { return };
-        let mut strangers = self.strangers.iter_mut();
-        let Some(index) = strangers.position(|other| other.numbered(number).is_some()) else {
-            return;
-        };
-        let Some(Stranger::Unproven(unproven)) = self.strangers.remove(index) else { return };
-        if let Some(index) = self.place(&address) {
-            let (connection, waiting) = unproven.into_parts();
-            self.peers[index].adopt(connection, waiting);
-        } else {
-            self.give_up(unproven, DisconnectReason::Refused);
-            self.upstream.report(TransportReport::PeerLost { peer });
         }
     }
 
@@ -385,7 +344,7 @@ impl<F: StreamFamily> Streams<F> {
         if let Some(index) = self.peers.iter().position(|peer| peer.address == *address) {
             return Some(index);
         }
-        if self.peers.len() < self.bounds.peers {
+        if self.peers.len() < self.limits.peers {
             self.peers.push(StreamPeer::new(address.clone()));
             return Some(self.peers.len() - 1);
         }
@@ -420,7 +379,7 @@ impl<F: StreamFamily> Streams<F> {
             let end = match self.peers.get_mut(index) {
                 None => self.read_strangers(task),
                 Some(peer) => {
-                    peer.read(task, self.bounds.mtu, &mut self.upstream).unwrap_or_else(|reason| {
+                    peer.read(task, self.limits.mtu, &mut self.upstream).unwrap_or_else(|reason| {
                         self.lose(index, reason, task);
                         ReadEnd::Done
                     })
@@ -444,7 +403,7 @@ impl<F: StreamFamily> Streams<F> {
         while let Some(stranger) = self.strangers.get_mut(index) {
             index += 1;
             let Stranger::Unproven(unproven) = stranger else { continue };
-            match unproven.read(task, self.bounds.mtu, &mut budget, &mut self.upstream) {
+            match unproven.read(task, self.limits.mtu, &mut budget, &mut self.upstream) {
                 Ok(ReadEnd::Done) => {}
                 Ok(end) => return end,
                 Err(reason) => {
@@ -467,12 +426,36 @@ impl<F: StreamFamily> Streams<F> {
         task.waker().wake_by_ref();
     }
 
-    pub(crate) fn open(&mut self) {
+    /// Says whether the connection, adopted since or not, takes the frame.
+    fn transmit_on(&mut self, number: u32, lane: FrameLane, frame: GatherBuffer) -> bool {
+        if let Some(unproven) = self.strangers.iter_mut().find_map(|one| one.numbered(number)) {
+            return unproven.push((lane, frame, self.upstream.now()));
+        }
+        let adopted = self.peers.iter_mut().find(|peer| peer.has_adopted(number));
+        adopted.is_some_and(|peer| {
+            peer.outgoing.push((lane, frame, self.upstream.now()), self.limits.queue_bytes)
+        })
+    }
+
+    fn disconnect(&mut self) {
+        let strangers = self.strangers.drain(..).map(Stranger::abandon);
+        let peers = self.peers.drain(..).map(|mut peer| peer.outgoing.clear());
+        self.upstream.counters.dropped += strangers.chain(peers).sum::<u64>();
+        self.first = 0;
+    }
+}
+
+impl<F: StreamFamily> MediumActor for Streams<F> {
+    fn upstream(&mut self) -> &mut Upstream {
+        &mut self.upstream
+    }
+
+    fn open(&mut self, _: &mut Context<Self>) {
         self.reopening.reset();
         self.try_open();
     }
 
-    pub(crate) fn attach(&mut self, message: Attach) {
+    fn attach(&mut self, message: Attach, _: &mut Context<Self>) {
         let before = self.upstream.connections();
         self.upstream.attach(message);
         if self.upstream.connections() != before {
@@ -480,9 +463,28 @@ impl<F: StreamFamily> Streams<F> {
         }
     }
 
-    pub(crate) fn transmit(&mut self, message: Transmit) {
+    fn adopt(&mut self, message: Adopt) {
+        let Adopt { connection: MediumAddress::Connection { number, .. }, peer } = message else {
+            return;
+        };
+        let Some(address) = F::address(peer.clone()) else { return };
+        let mut strangers = self.strangers.iter_mut();
+        let Some(index) = strangers.position(|other| other.numbered(number).is_some()) else {
+            return;
+        };
+        let Some(Stranger::Unproven(unproven)) = self.strangers.remove(index) else { return };
+        if let Some(index) = self.place(&address) {
+            let (connection, waiting) = unproven.into_parts();
+            self.peers[index].adopt(connection, waiting);
+        } else {
+            self.give_up(unproven, DisconnectReason::Refused);
+            self.upstream.report(TransportReport::PeerLost { peer });
+        }
+    }
+
+    fn transmit(&mut self, message: Transmit) {
         let Transmit { to, frame, lane } = message;
-        if frame.len() > self.bounds.mtu {
+        if frame.len() > self.limits.mtu {
             self.upstream.counters.refused += 1;
             return;
         }
@@ -507,23 +509,12 @@ impl<F: StreamFamily> Streams<F> {
         }
         let resting = matches!(peer.state, ConnectionState::Backoff(_));
         let waiting = (lane, frame, self.upstream.now());
-        if resting || !peer.outgoing.push(waiting, self.bounds.queue_bytes) {
+        if resting || !peer.outgoing.push(waiting, self.limits.queue_bytes) {
             self.upstream.counters.dropped += 1;
         }
     }
 
-    /// Says whether the connection, adopted since or not, takes the frame.
-    fn transmit_on(&mut self, number: u32, lane: FrameLane, frame: GatherBuffer) -> bool {
-        if let Some(unproven) = self.strangers.iter_mut().find_map(|one| one.numbered(number)) {
-            return unproven.push((lane, frame, self.upstream.now()));
-        }
-        let adopted = self.peers.iter_mut().find(|peer| peer.has_adopted(number));
-        adopted.is_some_and(|peer| {
-            peer.outgoing.push((lane, frame, self.upstream.now()), self.bounds.queue_bytes)
-        })
-    }
-
-    pub(crate) fn pump(&mut self, task: &mut task::Context<'_>) {
+    fn pump(&mut self, task: &mut task::Context<'_>) {
         while self.listener.is_none() {
             if self.reopening.poll_due(task).is_pending() {
                 return;
@@ -536,25 +527,22 @@ impl<F: StreamFamily> Streams<F> {
         self.read(task);
     }
 
-    /// What waits for all peers.
-    pub(crate) fn backlog(&self) -> TransmitBacklog {
+    fn backlog(&self) -> TransmitBacklog {
         let now = self.upstream.now();
         let peers = self.peers.iter().map(|peer| peer.outgoing.backlog(now));
         peers.fold(TransmitBacklog::default(), TransmitBacklog::and)
     }
 
-    pub(crate) fn shut(&mut self) {
+    fn shut(&mut self) {
         self.listener = None;
         self.disconnect();
     }
-
-    fn disconnect(&mut self) {
-        let strangers = self.strangers.drain(..).map(Stranger::abandon);
-        let peers = self.peers.drain(..).map(|mut peer| peer.outgoing.clear());
-        self.upstream.counters.dropped += strangers.chain(peers).sum::<u64>();
-        self.first = 0;
-    }
 }
+
+// It is never pinned: its futures are boxed.
+impl<F: StreamFamily> Unpin for Streams<F> {}
+
+transport!(Streams<F>, <F: StreamFamily>);
 
 /// A peer is not permitted, or this process is not: a user must act.
 fn log_denial(denials: &mut BTreeSet<String>, error: &io::Error) {

@@ -10,12 +10,11 @@
 
 use super::TcpConfig;
 use crate::bound_address::confine;
-use crate::stream::framing::{FramingError, PREAMBLE, decode_preamble, encode_preamble};
+use crate::stream::framing::{PreambleKind, encode_preamble, read_preamble, say_preamble};
 use socket2::SockRef;
 use std::io;
 use std::net::SocketAddr;
 use std::time::Duration;
-use tokio::io::AsyncReadExt;
 use tokio::net::{TcpSocket, TcpStream};
 use tokio::time::timeout;
 
@@ -25,7 +24,7 @@ pub(super) async fn dial(
     peer: SocketAddr,
     config: TcpConfig,
 ) -> io::Result<TcpStream> {
-    timeout(config.connect_timeout, async {
+    timeout(config.limits.connect_timeout, async {
         let socket = if peer.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
         confine(&SockRef::from(&socket), config.interface.as_deref())?;
         if !local.ip().is_unspecified() {
@@ -35,7 +34,7 @@ pub(super) async fn dial(
         let mut stream = socket.connect(peer).await?;
         prepare(&stream, config.user_timeout)?;
         introduce(&stream, local.port())?;
-        if read_preamble(&mut stream).await? != peer.port() {
+        if read_preamble(&mut stream, PreambleKind::Port).await? != peer.port() {
             return Err(io::Error::other("another node listens there"));
         }
         Ok(stream)
@@ -49,24 +48,14 @@ pub(super) async fn greet(
     config: TcpConfig,
 ) -> io::Result<(TcpStream, u16)> {
     prepare(&stream, config.user_timeout)?;
-    let port = timeout(config.hello_timeout, read_preamble(&mut stream)).await??;
+    let port = timeout(config.limits.hello_timeout, read_preamble(&mut stream, PreambleKind::Port))
+        .await??;
     Ok((stream, port))
 }
 
-/// Says on which port we listen. It is the first word on a new connection, whose empty buffer takes
-/// it whole.
+/// Says on which port we listen.
 pub(super) fn introduce(stream: &TcpStream, port: u16) -> io::Result<()> {
-    match SockRef::from(stream).send(&encode_preamble(port))? {
-        PREAMBLE => Ok(()),
-        _ => Err(io::ErrorKind::WriteZero.into()),
-    }
-}
-
-async fn read_preamble(stream: &mut TcpStream) -> io::Result<u16> {
-    let mut preamble = [0; PREAMBLE];
-    stream.read_exact(&mut preamble).await?;
-    decode_preamble(preamble)
-        .map_err(|error: FramingError| io::Error::new(io::ErrorKind::InvalidData, error))
+    say_preamble(SockRef::from(stream), &encode_preamble(port))
 }
 
 fn prepare(stream: &TcpStream, user_timeout: Duration) -> io::Result<()> {

@@ -5,13 +5,11 @@
 
 mod handshake;
 
-pub use crate::stream::framing;
+pub use crate::stream::{StreamLimits, framing};
 
 use self::handshake::{dial, greet, introduce};
 use crate::bound_address::{BoundAddress, confine, explain};
-use crate::stream::{
-    BACKLOG, HandshakeFuture, StreamFamily, StreamLimits, Streams, stream_transport,
-};
+use crate::stream::{BACKLOG, HandshakeFuture, StreamFamily, Streams};
 use blastema_contract::transport::MediumAddress;
 use socket2::{Domain, Protocol, Socket, Type};
 use std::io;
@@ -37,20 +35,8 @@ pub struct TcpConfig {
     /// Only over this interface of the system, such as `eth0`. `None` leaves the choice to the
     /// system's routes.
     pub interface: Option<String>,
-    /// The largest frame, in bytes. Larger frames keep others waiting longer behind them, and raise
-    /// what each connection may hold.
-    pub mtu: usize,
-    /// How many peers have a place; beyond, they are refused.
-    pub peers: usize,
-    /// How many connections may be open on which the peer has not said who it is or, with keys, has
-    /// not proven it.
-    pub strangers: usize,
-    /// How many bytes wait for each peer; beyond, frames are dropped.
-    pub queue_bytes: usize,
-    /// How long making a connection may take.
-    pub connect_timeout: Duration,
-    /// How long a stranger may say nothing and, with keys, then take to prove who it is.
-    pub hello_timeout: Duration,
+    /// How much it holds, and how long it waits for peers.
+    pub limits: StreamLimits,
     /// How long sent bytes may stay unconfirmed until the kernel gives the connection up
     /// (`TCP_USER_TIMEOUT`, RFC 5482; its own patience is a quarter of an hour).
     pub user_timeout: Duration,
@@ -61,12 +47,7 @@ impl Default for TcpConfig {
         TcpConfig {
             bind: (Ipv4Addr::LOCALHOST, 0).into(),
             interface: None,
-            mtu: 64 * 1024,
-            peers: 64,
-            strangers: 32,
-            queue_bytes: 1 << 20,
-            connect_timeout: Duration::from_secs(1),
-            hello_timeout: Duration::from_secs(2),
+            limits: StreamLimits::default(),
             user_timeout: Duration::from_millis(500),
         }
     }
@@ -75,18 +56,17 @@ impl Default for TcpConfig {
 /// TCP connections as a transport.
 ///
 /// It lives until it is sent [`Close`](blastema_contract::transport::Close).
-pub struct Tcp(Streams<OverIp>);
+pub type Tcp = Streams<OverIp>;
 
 impl Tcp {
     /// A transport that opens when it is started.
     pub fn new(config: TcpConfig) -> Self {
-        Tcp(Streams::new(OverIp { binding: BoundAddress::new(config.bind), config }))
+        Streams::over(OverIp { binding: BoundAddress::new(config.bind), config })
     }
 }
 
-stream_transport!(Tcp);
-
-struct OverIp {
+/// Streams over IP.
+pub struct OverIp {
     config: TcpConfig,
     binding: BoundAddress,
 }
@@ -97,9 +77,8 @@ impl StreamFamily for OverIp {
     type Address = SocketAddr;
     type Origin = IpAddr;
 
-    fn bounds(&self) -> StreamLimits {
-        let TcpConfig { mtu, peers, strangers, queue_bytes, hello_timeout, .. } = self.config;
-        StreamLimits { mtu, peers, strangers, queue_bytes, hello_timeout }
+    fn limits(&self) -> &StreamLimits {
+        &self.config.limits
     }
 
     fn listen(&mut self) -> Result<(TcpListener, SocketAddr), String> {

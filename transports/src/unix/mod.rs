@@ -17,10 +17,10 @@ pub mod users;
 pub use self::config::UnixConfig;
 pub use self::socket::{PathListener, explain};
 pub use self::users::{AllowedUsers, PeerRole};
-pub use crate::stream::framing;
+pub use crate::stream::{StreamLimits, framing};
 
 use self::socket::{dial, greet, introduce};
-use crate::stream::{HandshakeFuture, StreamFamily, StreamLimits, Streams, stream_transport};
+use crate::stream::{HandshakeFuture, StreamFamily, Streams};
 use blastema_contract::transport::MediumAddress;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::io;
@@ -32,19 +32,18 @@ use tokio::net::UnixStream;
 /// Unix-domain sockets as a transport.
 ///
 /// It lives until it is sent [`Close`](blastema_contract::transport::Close).
-pub struct Unix(Streams<OverPaths>);
+pub type Unix = Streams<OverPaths>;
 
 impl Unix {
     /// A transport that opens when it is started.
     pub fn new(config: UnixConfig) -> Self {
         let users = AllowedUsers::new(&config.users);
-        Unix(Streams::new(OverPaths { config, users }))
+        Streams::over(OverPaths { config, users })
     }
 }
 
-stream_transport!(Unix);
-
-struct OverPaths {
+/// Streams between sockets with paths.
+pub struct OverPaths {
     config: UnixConfig,
     users: AllowedUsers,
 }
@@ -56,9 +55,8 @@ impl StreamFamily for OverPaths {
     /// A peer that connects has no address of its own.
     type Origin = ();
 
-    fn bounds(&self) -> StreamLimits {
-        let UnixConfig { mtu, peers, strangers, queue_bytes, hello_timeout, .. } = self.config;
-        StreamLimits { mtu, peers, strangers, queue_bytes, hello_timeout }
+    fn limits(&self) -> &StreamLimits {
+        &self.config.limits
     }
 
     fn listen(&mut self) -> Result<(PathListener, Arc<Path>), String> {
@@ -78,12 +76,12 @@ impl StreamFamily for OverPaths {
 
     fn dial(&self, local: &Arc<Path>, peer: &Arc<Path>) -> HandshakeFuture<UnixStream> {
         let (local, peer, users) = (local.clone(), peer.clone(), self.users.clone());
-        Box::pin(dial(local, peer, users, self.config.connect_timeout))
+        Box::pin(dial(local, peer, users, self.config.limits.connect_timeout))
     }
 
     fn greet(&self, stream: UnixStream, _: &()) -> HandshakeFuture<(UnixStream, Arc<Path>)> {
         let allowed = self.users.check(&stream, &self.config.path, PeerRole::Client);
-        let greeting = greet(stream, self.config.hello_timeout);
+        let greeting = greet(stream, self.config.limits.hello_timeout);
         Box::pin(async move {
             allowed?;
             greeting.await

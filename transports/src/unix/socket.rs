@@ -11,7 +11,7 @@
 use crate::descriptors::{MORE_DESCRIPTORS, are_used_up};
 use crate::stream::BACKLOG;
 use crate::stream::framing::{
-    FramingError, LONGEST_PATH, PREAMBLE, decode_path_length, encode_path_preamble,
+    LONGEST_PATH, PreambleKind, encode_path_preamble, read_preamble, say_preamble,
 };
 use crate::unix::users::{AllowedUsers, PeerRole};
 use socket2::{Domain, SockAddr, SockRef, Socket, Type};
@@ -187,7 +187,7 @@ pub(super) async fn dial(
         let mut stream = UnixStream::connect(&peer).await?;
         users.check(&stream, &peer, PeerRole::Listener)?;
         introduce(&stream, &local)?;
-        if read_preamble(&mut stream).await? != peer {
+        if read_path(&mut stream).await? != peer {
             return Err(io::Error::other("another node listens there"));
         }
         Ok(stream)
@@ -200,26 +200,18 @@ pub(super) async fn greet(
     mut stream: UnixStream,
     hello_timeout: Duration,
 ) -> io::Result<(UnixStream, Arc<Path>)> {
-    let path = timeout(hello_timeout, read_preamble(&mut stream)).await??;
+    let path = timeout(hello_timeout, read_path(&mut stream)).await??;
     Ok((stream, path))
 }
 
-/// Says at which path we listen. It is the first word on a new connection, whose empty buffer takes
-/// it whole.
+/// Says at which path we listen.
 pub(super) fn introduce(stream: &UnixStream, path: &Path) -> io::Result<()> {
-    let preamble = encode_path_preamble(path.as_os_str().as_bytes());
-    match SockRef::from(stream).send(&preamble)? {
-        sent if sent == preamble.len() => Ok(()),
-        _ => Err(io::ErrorKind::WriteZero.into()),
-    }
+    say_preamble(SockRef::from(stream), &encode_path_preamble(path.as_os_str().as_bytes()))
 }
 
-async fn read_preamble(stream: &mut UnixStream) -> io::Result<Arc<Path>> {
-    let mut preamble = [0; PREAMBLE];
-    stream.read_exact(&mut preamble).await?;
-    let length = decode_path_length(preamble)
-        .map_err(|error: FramingError| io::Error::new(io::ErrorKind::InvalidData, error))?;
-    let mut path = vec![0; length];
+async fn read_path(stream: &mut UnixStream) -> io::Result<Arc<Path>> {
+    let length = read_preamble(stream, PreambleKind::Path).await?;
+    let mut path = vec![0; length.into()];
     stream.read_exact(&mut path).await?;
     Ok(PathBuf::from(OsString::from_vec(path)).into())
 }

@@ -18,8 +18,7 @@ use blastema_core::medium::lane::FrameLane;
 use blastema_core::{Instant, Machine};
 use blastema_doubles::{Probe, now};
 use blastema_transports::{
-    CanBus, CanConfig, DirectionControl, FrameMedium, FrameTransport, Rs485, SerialConfig,
-    SerialLine,
+    CanBus, CanConfig, FrameMedium, FrameTransport, Rs485, SerialConfig, SerialLine,
 };
 use bytes::Bytes;
 use socketcan::id::FdFlags;
@@ -237,7 +236,7 @@ fn a_driver_of_a_real_port_that_cannot_turn_rs485_says_so() {
     let _turn = blastema_doubles::turn();
     in_real_time(async {
         let mut config = SerialConfig::new("/dev/ttyS1");
-        config.rs485 = DirectionControl::Driver(Rs485::default());
+        config.rs485 = Some(Rs485::default());
         let reason = End::new(SerialLine::new(config, now)).closed().await;
         assert!(reason.contains("does not turn the line"), "{reason}");
     });
@@ -249,7 +248,7 @@ fn a_usb_serial_device_that_is_unbound_is_opened_when_it_is_back() {
     in_real_time(async {
         let fast = |path: &str| {
             let mut config = SerialConfig::new(path);
-            config.baud = 1_000_000;
+            config.baud = Some(1_000_000);
             End::new(SerialLine::new(config, now))
         };
         appears("/dev/ttyACM0").await;

@@ -96,7 +96,7 @@ fn a_thousand_connections_that_say_nothing_keep_no_friend_out() {
         }
 
         // As many as have a place as strangers are still there, and no more.
-        let places = TcpConfig::default().strangers as u64;
+        let places = TcpConfig::default().limits.strangers as u64;
         target.counted(|counters| counters.refused >= 1000 - places).await;
         friend.reaches(&target, at, "meanwhile").await;
         late.reaches(&target, at, "who comes late").await;
@@ -120,7 +120,7 @@ fn a_thousand_strangers_who_claim_to_be_peers_are_bounded_and_keep_no_friend_out
         }
 
         // The friend has one of the places.
-        let places = TcpConfig::default().peers as u64 - 1;
+        let places = TcpConfig::default().limits.peers as u64 - 1;
         target.counted(|counters| counters.refused + counters.errors >= 1000 - places).await;
         friend.reaches(&target, at, "meanwhile").await;
         target.reaches(&friend, at_friend, "the other way").await;

@@ -227,7 +227,7 @@ fn a_connection_that_sends_too_large_a_frame_or_proves_nothing_is_closed() {
     let _turn = blastema_doubles::turn();
     in_real_time(async {
         let mut config = TcpConfig::default();
-        config.hello_timeout = Duration::from_millis(10);
+        config.limits.hello_timeout = Duration::from_millis(10);
         let node = Node::open(config).await;
 
         let mut large = claiming(node.port(), 7400).await;
@@ -238,7 +238,7 @@ fn a_connection_that_sends_too_large_a_frame_or_proves_nothing_is_closed() {
 
         // What no peer may send is refused at once.
         let mut config = TcpConfig::default();
-        config.hello_timeout = 10 * PATIENCE;
+        config.limits.hello_timeout = 10 * PATIENCE;
         let patient = Node::open(config).await;
         let mut huge = claiming(patient.port(), 7400).await;
         huge.write_all(&encode_header(64 * 1024 + 1)).await.unwrap();
@@ -256,8 +256,8 @@ fn unproven_connections_share_their_places_with_those_that_say_nothing() {
     let _turn = blastema_doubles::turn();
     in_real_time(async {
         let mut config = TcpConfig::default();
-        (config.strangers, config.peers) = (2, 1);
-        config.hello_timeout = 10 * PATIENCE;
+        (config.limits.strangers, config.limits.peers) = (2, 1);
+        config.limits.hello_timeout = 10 * PATIENCE;
         let node = Node::open(config).await;
 
         let oldest = claiming(node.port(), 7401).await;
@@ -319,7 +319,7 @@ fn what_waits_for_a_dial_goes_out_on_the_connection_that_is_adopted_meanwhile() 
     let _turn = blastema_doubles::turn();
     in_real_time(async {
         let mut config = TcpConfig::default();
-        config.connect_timeout = 10 * PATIENCE;
+        config.limits.connect_timeout = 10 * PATIENCE;
         let node = Node::open(config).await;
         // Accepts no connection, so that the dial does not complete its handshake.
         let deaf = TcpListener::bind("127.0.0.1:0").await.unwrap();

@@ -10,7 +10,7 @@ use blastema_core::medium::lane::FrameLane;
 use blastema_doubles::{advance, now, paused};
 use blastema_ptys::Cable;
 use blastema_transports::serial::framing::encode;
-use blastema_transports::{DirectionControl, FrameTransport, Rs485, SerialConfig, SerialLine};
+use blastema_transports::{FrameTransport, Rs485, SerialConfig, SerialLine};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -20,7 +20,7 @@ fn with(config: SerialConfig) -> End {
 
 fn at(path: PathBuf, baud: u32) -> End {
     let mut config = SerialConfig::new(path);
-    config.baud = baud;
+    config.baud = Some(baud);
     with(config)
 }
 
@@ -92,7 +92,7 @@ fn a_driver_that_cannot_turn_the_line_is_named_with_what_helps() {
     in_real_time(async {
         let cable = Cable::new();
         let mut config = SerialConfig::new(cable.left());
-        config.rs485 = DirectionControl::Driver(Rs485::default());
+        config.rs485 = Some(Rs485::default());
 
         let reason = with(config).closed().await;
 
@@ -103,20 +103,16 @@ fn a_driver_that_cannot_turn_the_line_is_named_with_what_helps() {
 }
 
 #[test]
-fn a_driver_is_told_no_part_of_a_millisecond_and_one_that_turns_no_line_need_not_stop() {
+fn a_driver_is_told_no_part_of_a_millisecond() {
     let _turn = blastema_doubles::turn();
     in_real_time(async {
         let cable = Cable::new();
         let mut how = Rs485::default();
         how.before = Duration::from_micros(1_500);
         let mut config = SerialConfig::new(cable.left());
-        config.rs485 = DirectionControl::Driver(how);
+        config.rs485 = Some(how);
         let reason = with(config).closed().await;
         assert!(reason.contains("in whole milliseconds"), "{reason}");
-
-        let mut config = SerialConfig::new(cable.left());
-        config.rs485 = DirectionControl::Off;
-        with(config).opened().await;
     });
 }
 
@@ -258,7 +254,7 @@ fn the_line_is_given_no_more_than_its_speed_carries() {
         let cable = Cable::new();
         let config = |path| {
             let mut config = SerialConfig::new(path);
-            (config.baud, config.mtu) = (10_000, Some(400));
+            (config.baud, config.mtu) = (Some(10_000), Some(400));
             config
         };
         assert_eq!(config(cable.left()).time_of(400), Duration::from_millis(400));

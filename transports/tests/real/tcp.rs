@@ -110,7 +110,7 @@ fn a_stranger_who_says_nothing_is_thrown_out_and_counted() {
     let _turn = blastema_doubles::turn();
     in_real_time(async {
         let mut config = TcpConfig::default();
-        config.hello_timeout = Duration::from_millis(10);
+        config.limits.hello_timeout = Duration::from_millis(10);
         let (node, at) = open(config).await;
 
         let silent = TcpStream::connect(at).await.unwrap();
@@ -147,7 +147,7 @@ fn there_are_never_more_peers_than_configured() {
     let _turn = blastema_doubles::turn();
     in_real_time(async {
         let mut config = TcpConfig::default();
-        config.peers = 2;
+        config.limits.peers = 2;
         let (node, at) = open(config).await;
         let mut first = handmade(at, 7401).await;
         let second = handmade(at, 7402).await;
@@ -187,7 +187,7 @@ fn frames_to_one_who_listens_and_says_nothing_are_dropped_and_counted() {
     let _turn = blastema_doubles::turn();
     in_real_time(async {
         let mut config = TcpConfig::default();
-        config.connect_timeout = Duration::from_millis(20);
+        config.limits.connect_timeout = Duration::from_millis(20);
         let (node, _) = open(config).await;
         let deaf = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let deaf = (deaf.local_addr().unwrap(), deaf);
@@ -205,7 +205,7 @@ fn what_waits_for_a_peer_that_does_not_read_is_bounded() {
     let _turn = blastema_doubles::turn();
     in_real_time(async {
         let mut config = TcpConfig::default();
-        config.queue_bytes = 64 * 1024;
+        config.limits.queue_bytes = 64 * 1024;
         let (node, at) = open(config).await;
         let _peer = handmade(at, 7400).await;
         let known = MediumAddress::Ip("127.0.0.1:7400".parse().unwrap());

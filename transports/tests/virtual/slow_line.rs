@@ -109,7 +109,7 @@ struct End {
 impl End {
     fn new([name, other]: [&str; 2], baud: u32, [out, back]: [Wire; 2]) -> Self {
         let mut line = SerialConfig::new("/dev/null");
-        line.baud = baud;
+        line.baud = Some(baud);
         let mtu = line.mtu();
         let medium = SlowLine { config: line, out, back, busy: None };
         let rate = medium.bytes_per_second().unwrap();

@@ -236,7 +236,7 @@ fn lasting_garbage_from_a_neighbours_address_is_a_fault_of_the_links_and_passing
         let mut robot = Robot::default();
         let left = robot.module("left", 1, &[("a", &["right"])]).await;
 
-        let sender = Memory::new(MemoryConfig::new(&robot.medium, "a/right")).start();
+        let sender = Memory::new(&robot.medium, "a/right").start();
 
         garbage(&sender, &[1000, 1000, 0, 1000, 40, 40]).await;
         assert_eq!(left.declared.drain(), []);
@@ -264,7 +264,7 @@ fn lasting_garbage_from_strangers_is_a_fault_of_the_links() {
         let mut robot = Robot::default();
         let left = robot.module("left", 1, &[("a", &["right"])]).await;
 
-        let sender = Memory::new(MemoryConfig::new(&robot.medium, "a/stranger")).start();
+        let sender = Memory::new(&robot.medium, "a/stranger").start();
 
         garbage(&sender, &[100, 100, 100, 100]).await;
 

@@ -116,9 +116,9 @@ impl Network {
             #[cfg(feature = "ip")]
             Medium::At(Endpoint::Udp(config)) => config.mtu,
             #[cfg(feature = "ip")]
-            Medium::At(Endpoint::Tcp(config)) => Some(config.mtu),
+            Medium::At(Endpoint::Tcp(config)) => Some(config.limits.mtu),
             #[cfg(feature = "unix")]
-            Medium::At(Endpoint::Unix(config)) => Some(config.mtu),
+            Medium::At(Endpoint::Unix(config)) => Some(config.limits.mtu),
             #[cfg(feature = "serial")]
             Medium::At(Endpoint::Serial(config)) => config.mtu,
             Medium::At(Endpoint::Can(config)) => Some(config.node.mtu),

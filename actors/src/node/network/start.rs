@@ -18,7 +18,7 @@ use blastema_core::{NodeName, ObjectName};
 use blastema_transports::Unix;
 use blastema_transports::{
     Endpoint, EndpointError, FaultInjector, FaultInjectorConfig, FrameTransport, Memory,
-    MemoryConfig, MemoryMedium,
+    MemoryMedium,
 };
 #[cfg(feature = "ip")]
 use blastema_transports::{Tcp, Udp};
@@ -79,9 +79,7 @@ impl Medium {
             Medium::At(Endpoint::Slcan(config)) => place.start(|| {
                 FrameTransport::new(blastema_transports::SlcanBus::new(config, platform::now))
             }),
-            Medium::At(Endpoint::Memory(end)) => {
-                place.start(move || Memory::new(MemoryConfig::new(&memory, &end)))
-            }
+            Medium::At(Endpoint::Memory(end)) => place.start(move || Memory::new(&memory, &end)),
             Medium::At(other) => {
                 let text = format!(
                     "network {network}: this program has no {}: it was built without it, or this \

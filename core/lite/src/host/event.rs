@@ -36,14 +36,6 @@ pub enum HostEvent {
     /// The device had another sequence: a reply before this one was accepted wrongly. A new
     /// session is opened.
     OutOfStep,
-    /// With the loss that was measured over the last 1,000 tries, more tries are needed for less
-    /// than one false [`Lost`](HostEvent::Lost) a day.
-    TooFewTries {
-        /// The number of tries that is needed.
-        needed: u8,
-        /// Of 1,000 tries so many failed.
-        failed_per_mille: u16,
-    },
 }
 
 /// How a command ended.
@@ -102,7 +94,7 @@ impl DeviceIdentity {
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct EventQueue([Option<HostEvent>; EVENTS_MAX]);
 
-/// One input causes at most three events: out of step, an outcome, a warning.
+/// One input causes at most two events, such as a loss and the outcome of a command.
 const EVENTS_MAX: usize = 4;
 
 impl EventQueue {

@@ -556,10 +556,8 @@ impl<P: AsRef<[Port]>> Host<P> {
 
     fn estimate(&mut self, missed: bool) {
         // A device that is switched off is no measure of the line.
-        if !self.answers.lost
-            && let Some(warning) = self.answers.loss.count(missed, self.config.interval)
-        {
-            self.events.push(warning);
+        if !self.answers.lost {
+            self.answers.loss.count(missed, self.config.interval);
         }
     }
 

@@ -1,6 +1,5 @@
 //! How many unanswered tries declare a device lost, and how many the measured loss demands.
 
-use super::event::HostEvent;
 use core::time::Duration;
 
 /// When a device that does not answer is lost.
@@ -12,7 +11,7 @@ pub enum Tries {
     /// As many as keep false alarms below one a day at the measured loss, at least 3.
     #[default]
     Auto,
-    /// This many. The host reports when the measured loss demands more.
+    /// This many.
     Fixed(u8),
 }
 
@@ -47,8 +46,8 @@ impl Tries {
 /// Counts tries, and those that failed.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LossEstimate {
-    tries: u8,
-    adapts: bool,
+    tries: Tries,
+    needed: u8,
     asked: u32,
     failed: u32,
 }
@@ -58,33 +57,25 @@ const ESTIMATE_AFTER: u32 = 1_000;
 
 impl LossEstimate {
     pub(super) fn new(tries: Tries) -> Self {
-        let (tries, adapts) = match tries {
-            Tries::Auto => (Tries::LEAST, true),
-            Tries::Fixed(tries) => (tries.max(1), false),
-        };
-        LossEstimate { tries, adapts, asked: 0, failed: 0 }
+        LossEstimate { tries, needed: Tries::LEAST, asked: 0, failed: 0 }
     }
 
     /// How many tries in a row declare the device lost.
     pub(super) fn tries(&self) -> u8 {
-        self.tries
+        match self.tries {
+            Tries::Auto => self.needed,
+            Tries::Fixed(tries) => tries.max(1),
+        }
     }
 
-    /// Counts a try; returns a warning if the fixed number is too low.
-    pub(super) fn count(&mut self, failed: bool, interval: Duration) -> Option<HostEvent> {
+    /// Counts a try.
+    pub(super) fn count(&mut self, failed: bool, interval: Duration) {
         self.asked += 1;
         self.failed += u32::from(failed);
-        if self.asked < ESTIMATE_AFTER {
-            return None;
+        if self.asked >= ESTIMATE_AFTER {
+            self.needed = Tries::needed(self.failed, self.asked, interval);
+            (self.asked, self.failed) = (0, 0);
         }
-        let needed = Tries::needed(self.failed, self.asked, interval);
-        let failed_per_mille = (self.failed * 1_000 / self.asked) as u16;
-        (self.asked, self.failed) = (0, 0);
-        if self.adapts {
-            self.tries = needed;
-        }
-        let warning = HostEvent::TooFewTries { needed, failed_per_mille };
-        (needed > self.tries).then_some(warning)
     }
 }
 
@@ -94,33 +85,27 @@ mod tests {
 
     const INTERVAL: Duration = Duration::from_millis(10);
 
-    fn after(tries: Tries, failed: u32) -> (LossEstimate, Option<HostEvent>) {
+    fn after(tries: Tries, failed: u32) -> LossEstimate {
         let mut estimate = LossEstimate::new(tries);
-        let warnings = (0..1_000).map(|asked| estimate.count(asked < failed, INTERVAL));
-        let warning = warnings.last().flatten();
-        (estimate, warning)
+        (0..1_000).for_each(|asked| estimate.count(asked < failed, INTERVAL));
+        estimate
     }
 
     #[test]
     fn the_tries_follow_the_measured_loss() {
-        let (mut estimate, warning) = after(Tries::Auto, 360);
-        assert_eq!((estimate.tries(), warning), (16, None));
-        for _ in 0..1_000 {
-            assert_eq!(estimate.count(false, INTERVAL), None);
-        }
+        let mut estimate = after(Tries::Auto, 360);
+        assert_eq!(estimate.tries(), 16);
+        (0..1_000).for_each(|_| estimate.count(false, INTERVAL));
         assert_eq!(estimate.tries(), Tries::LEAST, "the line is good again");
     }
 
     #[test]
-    fn a_fixed_number_that_is_too_low_is_reported() {
-        let (estimate, warning) = after(Tries::Fixed(3), 360);
-        let expected = HostEvent::TooFewTries { needed: 16, failed_per_mille: 360 };
-        assert_eq!((estimate.tries(), warning), (3, Some(expected)));
-        assert_eq!(after(Tries::Fixed(16), 360).1, None);
+    fn a_fixed_number_stays_whatever_is_measured() {
+        assert_eq!(after(Tries::Fixed(3), 360).tries(), 3);
     }
 
     #[test]
     fn a_line_that_carries_nothing_asks_for_all_tries_there_are() {
-        assert_eq!(after(Tries::Auto, 1_000).0.tries(), u8::MAX);
+        assert_eq!(after(Tries::Auto, 1_000).tries(), u8::MAX);
     }
 }

@@ -23,7 +23,6 @@ fn check(bench: Box<dyn Bench>, medium: Medium, commands: u32) {
     robot.advance(1_000);
     assert!(robot.host.is_serving());
     robot.frames_sent = 0;
-    let mut too_few_tries = 0;
     for number in 1..=commands {
         let command = number.to_le_bytes();
         robot.host.handle_command(DeviceCommand::Call(NUMBER, &command)).expect("it serves");
@@ -38,7 +37,6 @@ fn check(bench: Box<dyn Bench>, medium: Medium, commands: u32) {
         }
         for (event, payload) in &robot.events {
             match event {
-                HostEvent::TooFewTries { .. } => too_few_tries += 1,
                 HostEvent::Done(CommandOutcome::Replied(Status::Well)) => {
                     assert_eq!(payload[..4], command, "carried out so often");
                     assert_eq!(payload[4..], command, "its own reply");
@@ -52,7 +50,6 @@ fn check(bench: Box<dyn Bench>, medium: Medium, commands: u32) {
     robot.events.clear();
     let journal = robot.journal();
     assert_eq!((journal.executed, journal.twice, journal.wrong), (commands, 0, 0));
-    assert_eq!(too_few_tries, 0, "40 tries are enough at this loss");
     println!("{medium:?}: {commands} commands, each once; {frames:.3} frames per command");
 }
 

@@ -6,9 +6,8 @@ use blastema_contract::transport::MediumAddress;
 use blastema_doubles::{now, paused};
 use blastema_ptys::{Adapters, Cable};
 use blastema_transports::{
-    FaultInjector, FaultInjectorConfig, FrameTransport, Memory, MemoryConfig, MemoryMedium,
-    SerialConfig, SerialLine, SlcanBus, SlcanConfig, Tcp, TcpConfig, Udp, UdpConfig, Unix,
-    UnixConfig,
+    FaultInjector, FaultInjectorConfig, FrameTransport, Memory, MemoryMedium, SerialConfig,
+    SerialLine, SlcanBus, SlcanConfig, Tcp, TcpConfig, Udp, UdpConfig, Unix, UnixConfig,
 };
 use std::cell::Cell;
 use std::future::Future;
@@ -37,7 +36,7 @@ impl Medium for OverMemory {
                 format!("end {}", self.1.get()).into()
             }
         };
-        let (address, panic) = start(Memory::new(MemoryConfig::new(&self.0, &name)));
+        let (address, panic) = start(Memory::new(&self.0, &name));
         Opened { transport: address.into(), wrapper: None, panic }
     }
 
@@ -218,7 +217,7 @@ impl Medium for OverSerial {
             self.1.set(self.1.get() + 1);
         }
         let mut config = SerialConfig::new(self.last());
-        (config.baud, config.mtu) = (50_000_000, Some(65_535));
+        (config.baud, config.mtu) = (Some(50_000_000), Some(65_535));
         let (address, panic) = start(FrameTransport::new(SerialLine::new(config, now)));
         Opened { transport: address.into(), wrapper: None, panic }
     }
