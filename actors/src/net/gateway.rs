@@ -18,6 +18,7 @@ use super::sessions::{DiscardedSession, PeerSessions};
 use super::stub::{PeerCondition, PeerSendState, PeerStubs};
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::platform;
+use crate::registry::remote_watch::DeathWatchService;
 use crate::registry::{MessageMetadata, Registry, ReplyTo};
 use crate::topic::{TopicKey, Topics};
 use actix::prelude::*;
@@ -48,6 +49,7 @@ struct GatewaySetup {
     faults: FaultReporter,
     stack: Recipient<LocalInput>,
     stubs: Arc<PeerStubs>,
+    deaths: DeathWatchService,
     dead_letters: DeadLetterLog,
     may_be_away: SortedSet<NodeName>,
     /// The directory of this node, and those of others.
@@ -83,6 +85,7 @@ impl ObjectGateway {
     pub(super) fn new(
         environment: &NetEnvironment,
         stubs: Arc<PeerStubs>,
+        deaths: DeathWatchService,
         (faults, stack): (FaultReporter, Recipient<LocalInput>),
     ) -> Self {
         let NetEnvironment { registry, topics, nodes, dead_letters, .. } = environment.clone();
@@ -102,6 +105,7 @@ impl ObjectGateway {
             faults,
             stack,
             stubs,
+            deaths,
             dead_letters,
             may_be_away,
             directory,

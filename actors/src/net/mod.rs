@@ -210,7 +210,8 @@ pub(crate) fn start(environment: NetEnvironment, networks: Vec<NetworkSpec>) -> 
     let keys = environment.keys.clone();
     let stubs = Arc::new(stub::PeerStubs::new());
     let deaths = remote_watch::serve(&environment.registry);
-    let make = stack::NetworkStack::maker(&environment, (stubs.clone(), own_name.clone()));
+    let parts = (stubs.clone(), deaths.clone(), own_name.clone());
+    let make = stack::NetworkStack::maker(&environment, parts);
     let stack = guardian.start(named("stack"), on_arbiter, make);
     stubs.connect(stack.clone().recipient());
     if let Some(directory) = &environment.directory {

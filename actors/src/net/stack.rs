@@ -20,6 +20,7 @@ use super::sessions::PeerSessions;
 use super::stub::PeerStubs;
 use crate::platform;
 use crate::platform::panics;
+use crate::registry::remote_watch::DeathWatchService;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::answers_the_monitor;
 use crate::runtime::pending_answer::PendingAnswer;
@@ -135,13 +136,13 @@ impl Machine for LowerFloors {
 impl NetworkStack {
     pub(super) fn maker(
         environment: &NetEnvironment,
-        (stubs, own_name): (Arc<PeerStubs>, OwnName),
+        (stubs, deaths, own_name): (Arc<PeerStubs>, DeathWatchService, OwnName),
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
         let environment = environment.clone();
         move |context| {
             let faults = environment.own_faults("stack");
             let told = (faults.clone(), context.address().recipient());
-            let gateway = ObjectGateway::new(&environment, stubs, told);
+            let gateway = ObjectGateway::new(&environment, stubs, deaths, told);
             let NetEnvironment { node, incarnation, nodes, keys, session_timeout, .. } =
                 environment;
             let (identity, told) = ((node, incarnation), (faults.clone(), nodes.clone()));

@@ -327,6 +327,14 @@ impl StubFactory for PeerStubs {
     fn is_reachable(&self, node: &NodeName) -> bool {
         self.send_state(node).path.load(Relaxed)
     }
+
+    fn opening(&self, node: &NodeName) -> Pin<Box<dyn Future<Output = ()> + Send>> {
+        let send_state = self.send_state(node);
+        if send_state.is_opened() {
+            return Box::pin(std::future::pending());
+        }
+        Box::pin(async move { send_state.opened().await })
+    }
 }
 
 /// The way to one object for one contract.

@@ -40,6 +40,9 @@ pub(crate) trait StubFactory: Send + Sync {
 
     /// Whether a path leads to the node now: a session outlives its paths.
     fn is_reachable(&self, node: &NodeName) -> bool;
+
+    /// Completes when the node is connected next; never where it is connected already.
+    fn opening(&self, node: &NodeName) -> Pin<Box<dyn Future<Output = ()> + Send>>;
 }
 
 /// The way to one object of another node, for one contract.
@@ -105,6 +108,15 @@ impl Registry {
     pub(crate) fn is_reachable(&self, node: &NodeName) -> bool {
         let stubs = self.lock().remote.stubs.clone();
         stubs.is_some_and(|stubs| stubs.is_reachable(node))
+    }
+
+    /// Completes when a node is connected that is not connected now.
+    pub(crate) async fn opening(&self, node: &NodeName) {
+        let stubs = self.lock().remote.stubs.clone();
+        match stubs {
+            Some(stubs) => stubs.opening(node).await,
+            None => std::future::pending().await,
+        }
     }
 
     /// Names of the whole robot, such as `*:map`, are looked up there.

@@ -9,15 +9,18 @@
 //! The watcher asks, and is answered when the object ends; then it asks for the next end. The task
 //! that asks belongs to the watcher's incarnation and ends with it.
 //!
-//! Every end of an object has a number on its node, and each object keeps its last end. The first
-//! answer says how the object stands. Each later question names the number after which ends count,
-//! and an object that has ended since is answered at once. Neither an end between two questions nor
-//! one in an outage is lost: of several, the last is told.
+//! Every end of an object has a number on its node, and each object keeps its last end. A question
+//! names the number after which ends count, and an object that has ended since is answered at
+//! once. Neither an end between two questions nor one in an outage is lost: of several, the last is
+//! told. A watch that has no number yet and finds its node away has the one at which that node lost
+//! the path, or opened the next session.
 //!
 //! That the object's node is lost is seen by the session, which resolves the request; where no
 //! request was on its way, by the next answer, which another service gives.
 //!
-//! The questions of each node that wait are bounded. What goes beyond is refused, and asked again.
+//! A node has at most as many questions waiting as it leaves free (a dynamic threshold, Choudhury
+//! and Hahne 1998): one alone half of the capacity, two a third each. However many a node asks,
+//! others find capacity. What goes beyond is refused, counted by node, and logged.
 
 use crate::messaging::death_watch::{Down, DownReason, NumberedEnd, Watcher, last_end_number};
 use crate::messaging::incarnation::IncarnationToken;
@@ -28,6 +31,7 @@ use crate::platform::lock;
 use crate::registry::access::MessageOrigin;
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, Registry, WeakRegistry};
+use blastema_core::net::NodeId;
 use blastema_core::sorted::SortedMap;
 use blastema_core::{DeliveryError, Incarnation, ObjectAddress, ObjectName};
 use blastema_macros::{Request, Structure};
@@ -35,6 +39,7 @@ use std::future::Future;
 use std::mem::replace;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
+use tracing::warn;
 
 /// Under which name nodes ask each other. It is no object that others can see.
 const OBJECT: &str = "net/deaths";
@@ -43,8 +48,10 @@ const OBJECT: &str = "net/deaths";
 const WATCH_TIMEOUT: Duration = Duration::from_secs(30);
 /// How often a node that was lost is asked again.
 const RETRY_DELAY: Duration = Duration::from_secs(1);
-/// Questions of one other node that may wait: as many as a large robot has watches to one node.
+/// Questions that may wait at one node: as many as a large robot has watches to it.
 const WAITING_MAX: usize = 4096;
+/// Nodes of which refused questions are counted: as many as there are sessions with.
+const REFUSED_MAX: usize = 512;
 /// What is known of a node that has another incarnation.
 const STARTED_AGAIN: &str = "its node has started again";
 /// The most bytes of a panic's text that go to another node.
@@ -52,12 +59,22 @@ const TEXT_MAX: usize = 4096;
 
 /// Asks for the last of the ends of an object that count.
 #[derive(Clone, Debug, Request)]
-#[contract(crate = "crate", name = "blastema/await-end", version = 4, reply = Watched)]
+#[contract(crate = "crate", name = "blastema/await-end", version = 3, reply = Watched)]
 struct AwaitEnd {
     object: ObjectName,
-    /// Ends after this one count. Without it the answer comes at once, and says how the object
-    /// stands.
-    after: Option<SeenEnd>,
+    after: EndsAfter,
+}
+
+/// Which ends of an object count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Structure)]
+#[contract(crate = "crate")]
+enum EndsAfter {
+    /// None yet: the answer comes at once, and says how the object stands.
+    Question,
+    /// Those since the session was opened, or lost its path. The answer comes at once, too.
+    Opening,
+    /// Those after the ones that the asker knows of.
+    Seen(SeenEnd),
 }
 
 /// The number of an end, as this service counts: each start of a node has another one.
@@ -110,31 +127,37 @@ pub(crate) fn follow(
         let lost = |reason: String| {
             down(LastEnd { incarnation, ending: DownReason::NodeLost { reason } });
         };
+        let after = match registry.is_reachable(&node) {
+            true => EndsAfter::Question,
+            false => EndsAfter::Opening,
+        };
+        let opening = || registry.opening(&node);
         match sender {
-            Ok(sender) => ask_on(&sender, &object, down, lost).await,
+            Ok(sender) => ask_on(&sender, (&object, after), down, lost, opening).await,
             // This node has no network.
             Err(why) => lost(why.to_string()),
         }
     }
 }
 
-async fn ask_on(
+async fn ask_on<O: Future<Output = ()>>(
     sender: &Sender<AwaitEnd>,
-    object: &ObjectName,
+    (object, mut after): (&ObjectName, EndsAfter),
     down: impl Fn(LastEnd),
     lost: impl Fn(String),
+    opening: impl Fn() -> O,
 ) {
-    let (mut is_lost, mut is_gone, mut is_absent) = (false, false, false);
-    let mut after = None;
+    let (mut is_lost, mut was_back, mut is_gone, mut is_absent) = (false, false, false, false);
     loop {
         let question = AwaitEnd { object: object.clone(), after };
         match sender.ask_within(question, WATCH_TIMEOUT).await.map_err(|error| error.kind) {
             Ok(Watched { seen, ended }) => {
-                let is_other = after.is_some_and(|known: SeenEnd| known.service != seen.service);
+                let is_other =
+                    matches!(after, EndsAfter::Seen(known) if known.service != seen.service);
                 if is_other && !is_lost {
                     lost(STARTED_AGAIN.to_owned());
                 }
-                (after, is_lost) = (Some(seen), false);
+                (after, is_lost, was_back) = (EndsAfter::Seen(seen), false, false);
                 let ending = ended.as_ref().map(|ended| &ended.ending);
                 let is_unknown = ending == Some(&DownReason::Unknown);
                 let was_gone =
@@ -148,7 +171,7 @@ async fn ask_on(
                     continue;
                 }
                 // It is looked for again until an object has the name.
-                after = None;
+                after = EndsAfter::Question;
             }
             Err(DeliveryError::DeadlinePassed) => continue, // No incarnation has ended.
             // Of no concern to the object: for want of room, or because the watcher itself is
@@ -160,7 +183,11 @@ async fn ask_on(
                     DeliveryError::OutcomeUnknown { .. } | DeliveryError::PeerDied { .. }
                 );
                 // Lost once more.
-                is_lost &= !was_sent;
+                is_lost &= !(was_sent || was_back);
+                was_back = false;
+                if after == EndsAfter::Question {
+                    after = EndsAfter::Opening;
+                }
                 if !is_lost && !is_absent && why != DeliveryError::Restarting {
                     lost(match why {
                         DeliveryError::OutcomeUnknown { reason } => reason,
@@ -172,7 +199,10 @@ async fn ask_on(
                 }
             }
         }
-        platform::sleep(RETRY_DELAY).await;
+        tokio::select! {
+            () = platform::sleep(RETRY_DELAY) => {}
+            () = opening() => was_back = true,
+        }
     }
 }
 
@@ -203,6 +233,11 @@ pub(crate) struct DeathWatchService {
 #[derive(Default)]
 struct Questions {
     waiting: SortedMap<ObjectName, Vec<Waiting>>,
+    /// The last end when the session with a node was opened or lost its path, for each node that
+    /// this one has met.
+    openings: SortedMap<MessageOrigin, u64>,
+    /// How many questions of each node were refused.
+    refused: SortedMap<MessageOrigin, u64>,
     /// The last end before this node began to end in order. Those that follow are told as its end.
     last: Option<u64>,
 }
@@ -221,6 +256,14 @@ impl DeathWatchService {
         DeathWatchService { number, registry: registry.downgrade(), questions }
     }
 
+    /// The session with this node is opened, or loses its path: its watches that begin before the
+    /// nodes are connected are told the ends from now on.
+    pub(crate) fn handle_opening(&self, peer: NodeId) {
+        lock(&self.questions)
+            .openings
+            .insert(MessageOrigin { peer: Some(peer) }, last_end_number());
+    }
+
     /// This node begins to end in order.
     pub(crate) fn handle_leaving(&self) {
         lock(&self.questions).last.get_or_insert_with(last_end_number);
@@ -229,15 +272,16 @@ impl DeathWatchService {
     fn serve(
         &self,
         object: ObjectName,
-        after: Option<SeenEnd>,
+        after: EndsAfter,
         (by, responder): (MessageOrigin, Responder<AwaitEnd>),
     ) {
         let questions = lock(&self.questions);
+        let opening = questions.openings.get(&by).copied();
         let (after, waits) = match after {
-            None => (u64::MAX, false),
-            Some(seen) if seen.service == self.number => (seen.number, true),
-            // The asker knows of no end since this start of the node.
-            Some(_) => (0, false),
+            EndsAfter::Question => (u64::MAX, false),
+            EndsAfter::Seen(seen) if seen.service == self.number => (seen.number, true),
+            // What another start of this node has counted says nothing.
+            EndsAfter::Seen(_) | EndsAfter::Opening => (opening.unwrap_or(u64::MAX), false),
         };
         let (last, absent) = self.watch(&object);
         let number = last.as_ref().map_or(0, |last| last.number);
@@ -260,15 +304,17 @@ impl DeathWatchService {
         object: ObjectName,
         question: Waiting,
     ) {
-        let mut of_asker = 0;
+        let (mut waiting, mut of_asker) = (0, 0);
         questions.waiting.retain(|_, others| {
             others.retain(|other| other.responder.is_wanted());
+            waiting += others.len();
             of_asker += others.iter().filter(|other| other.by == question.by).count();
             !others.is_empty()
         });
-        if of_asker < WAITING_MAX {
+        if of_asker < WAITING_MAX - waiting {
             return questions.waiting.entry(object).or_default().push(question);
         }
+        questions.count_refused(question.by, of_asker);
         drop(questions);
         question.responder.refuse(DeliveryError::Full, None);
     }
@@ -322,6 +368,18 @@ impl Questions {
     fn is_told(&self, end: &NumberedEnd) -> bool {
         self.last.is_none_or(|last| end.number <= last)
     }
+
+    /// A question was refused. It is logged whenever the number of them has doubled.
+    fn count_refused(&mut self, by: MessageOrigin, waiting: usize) {
+        if self.refused.len() >= REFUSED_MAX && !self.refused.contains_key(&by) {
+            return;
+        }
+        let times = self.refused.entry(by).or_default();
+        *times = times.saturating_add(1);
+        if let (true, Some(node)) = (times.is_power_of_two(), by.peer) {
+            warn!(%node, waiting, times, "refused: the node watches as many objects as it may");
+        }
+    }
 }
 
 #[cfg(test)]
@@ -329,7 +387,6 @@ mod tests {
     use super::*;
     use crate::messaging::death_watch::Deaths;
     use blastema_core::NodeName;
-    use blastema_core::net::NodeId;
     use blastema_doubles::{advance, paused};
 
     /// A question whose answer is kept.
@@ -337,13 +394,13 @@ mod tests {
         service: &DeathWatchService,
         by: &str,
     ) -> Arc<Mutex<Option<Result<Watched, DeliveryError>>>> {
-        ask_after(service, by, Some(SeenEnd { service: service.number, number: 0 }))
+        ask_after(service, by, EndsAfter::Seen(SeenEnd { service: service.number, number: 0 }))
     }
 
     fn ask_after(
         service: &DeathWatchService,
         by: &str,
-        after: Option<SeenEnd>,
+        after: EndsAfter,
     ) -> Arc<Mutex<Option<Result<Watched, DeliveryError>>>> {
         let answered = Arc::new(Mutex::new(None));
         let keep = answered.clone();
@@ -394,7 +451,8 @@ mod tests {
             actix_rt::spawn(async move {
                 let down = |end: LastEnd| ends.lock().unwrap().push(format!("{:?}", end.ending));
                 let lost = |reason| losses.lock().unwrap().push(reason);
-                ask_on(&sender, &arm, down, lost).await;
+                ask_on(&sender, (&arm, EndsAfter::Question), down, lost, std::future::pending)
+                    .await;
             });
 
             advance(8 * RETRY_DELAY).await;
@@ -430,13 +488,14 @@ mod tests {
                 actix_rt::spawn(async move {
                     let lost = |reason| losses.lock().unwrap().push(reason);
                     let down = |end| panic!("{end:?}");
-                    ask_on(&sender, &arm, down, lost).await;
+                    let of = (&arm, EndsAfter::Question);
+                    ask_on(&sender, of, down, lost, std::future::pending).await;
                 });
                 advance(5 * RETRY_DELAY).await;
 
                 assert_eq!(*told.lock().unwrap(), ["its node has started again"]);
-                let seen = |service| Some(SeenEnd { service, number: 0 });
-                let expected = [None, seen(7), seen(7), seen(8)];
+                let seen = |service| EndsAfter::Seen(SeenEnd { service, number: 0 });
+                let expected = [EndsAfter::Question, seen(7), seen(7), seen(8)];
                 assert_eq!(*asked.lock().unwrap(), expected);
             }
         });
@@ -449,7 +508,7 @@ mod tests {
         registry.watch_in(deaths);
         let service = DeathWatchService::new(&registry);
         let other = SeenEnd { service: service.number.wrapping_add(1), number: 0 };
-        let answer = ask_after(&service, "honest", Some(other));
+        let answer = ask_after(&service, "honest", EndsAfter::Seen(other));
         let answered = answer.lock().unwrap().clone().expect("at once").expect("it is told");
         assert_eq!(answered.seen, SeenEnd { service: service.number, number: 0 });
         assert!(answered.ended.is_none(), "it lives");
@@ -468,33 +527,33 @@ mod tests {
         deaths.begin(&arm, Incarnation(1));
         registry.watch_in(deaths.clone());
         let service = DeathWatchService::new(&registry);
+        let left = NodeId::of(&NodeName::new("left").unwrap());
         let told = |after| {
             let answer = ask_after(&service, "left", after).lock().unwrap().clone();
             answer.map(|answer| answer.expect("it is told"))
         };
         let incarnation = |told: &Watched| told.ended.as_ref().map(|ended| ended.incarnation.0);
 
-        let first = told(None).expect("it is asked how the object stands");
+        service.handle_opening(left);
         (1..=20).for_each(end);
-        let since = told(Some(first.seen)).expect("at once");
+        let since = told(EndsAfter::Opening).expect("it is asked how the object stands");
         assert_eq!(incarnation(&since), Some(20));
-        let now = told(None).expect("it is asked how the object stands");
+        let now = told(EndsAfter::Question).expect("it is asked how the object stands");
         assert_eq!((incarnation(&now), now.seen), (None, since.seen));
-        assert!(told(Some(since.seen)).is_none(), "it waits");
+        assert!(told(EndsAfter::Seen(since.seen)).is_none(), "it waits");
         end(21);
-        let last = told(Some(since.seen)).expect("at once");
-        assert_eq!(incarnation(&last), Some(21));
-        let other = SeenEnd { service: service.number.wrapping_add(1), number: u64::MAX };
-        assert_eq!(incarnation(&told(Some(other)).expect("at once")), Some(21));
+        assert_eq!(incarnation(&told(EndsAfter::Seen(since.seen)).expect("at once")), Some(21));
 
+        service.handle_opening(left);
+        assert_eq!(incarnation(&told(EndsAfter::Opening).expect("at once")), None);
         end(22);
         service.handle_leaving();
-        let last = told(Some(last.seen)).expect("that was before");
+        let last = told(EndsAfter::Opening).expect("that was before");
         assert_eq!(incarnation(&last), Some(22));
-        let waits = ask_after(&service, "left", Some(last.seen));
+        let waits = ask_after(&service, "left", EndsAfter::Seen(last.seen));
         deaths.end(&arm, DownReason::Stopped);
         assert!(waits.lock().unwrap().is_none());
-        assert!(told(None).is_none());
+        assert!(told(EndsAfter::Question).is_none());
     }
 
     #[test]
@@ -504,9 +563,12 @@ mod tests {
         registry.watch_in(deaths.clone());
         let service = DeathWatchService::new(&registry);
 
-        assert_eq!(waiting(&service, "greedy", WAITING_MAX + 5), WAITING_MAX);
+        assert_eq!(waiting(&service, "greedy", 2 * WAITING_MAX), WAITING_MAX / 2);
+        assert_eq!(waiting(&service, "second", 2 * WAITING_MAX), WAITING_MAX / 4);
         assert_eq!(waiting(&service, "honest", 100), 100);
 
+        let refused: Vec<_> = lock(&service.questions).refused.values().copied().collect();
+        assert_eq!(refused.iter().sum::<u64>(), (WAITING_MAX * 3 / 2 + WAITING_MAX * 7 / 4) as u64);
         let answer = ask(&service, "honest");
         deaths.end(&ObjectName::new("arm").unwrap(), DownReason::Stopped);
         let answer = answer.lock().unwrap().clone();

@@ -25,6 +25,10 @@ impl StubFactory for Mirror {
     fn is_reachable(&self, _: &NodeName) -> bool {
         true
     }
+
+    fn opening(&self, _: &NodeName) -> Pin<Box<dyn Future<Output = ()> + Send>> {
+        Box::pin(std::future::pending())
+    }
 }
 impl RemoteStub for MirrorDoor {
     fn send(
@@ -82,6 +86,10 @@ impl StubFactory for Narrow {
 
     fn is_reachable(&self, _: &NodeName) -> bool {
         true
+    }
+
+    fn opening(&self, _: &NodeName) -> Pin<Box<dyn Future<Output = ()> + Send>> {
+        Box::pin(std::future::pending())
     }
 }
 impl RemoteStub for Narrow {

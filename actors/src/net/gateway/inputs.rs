@@ -39,6 +39,7 @@ impl ObjectGateway {
     pub(in crate::net) fn handle_unreachable(&mut self, node: &NodeName) {
         let (peer, send_state) = self.meet(node);
         self.exchange.handle_unreachable(peer);
+        self.wiring.deaths.handle_opening(peer);
         send_state.path_lost();
         self.tell_directory(DirectoryReport::Unreachable { node: node.clone() });
         if !send_state.has_session() {
@@ -55,6 +56,8 @@ impl ObjectGateway {
     ) {
         let (id, send_state) = self.meet(node);
         self.begin_peer(id, session, incarnation);
+        // Before the peer learns that it is connected.
+        self.wiring.deaths.handle_opening(id);
         self.exchange.handle_opened(id, incarnation, platform::now());
         send_state.begin();
         self.tell_directory(DirectoryReport::Opened { node: node.clone(), incarnation });
