@@ -18,7 +18,8 @@ use std::time::Duration;
 /// Keeps the table of all monitored objects, and reports its observations to the detector.
 ///
 /// It judges nothing. What an older incarnation still says, or one that has ended, changes nothing;
-/// that it panicked is passed on. A report or an answer of a new incarnation of an object empties its history.
+/// that it panicked is passed on. A report or an answer of a new incarnation of an object empties
+/// its history.
 ///
 /// What is reported of an object that was never enrolled opens a row of its own, so that a
 /// component that dies before its enrolment arrives is not lost.
