@@ -17,8 +17,9 @@ use std::time::Duration;
 
 /// Keeps the table of all monitored objects, and reports its observations to the detector.
 ///
-/// It judges nothing. What an older incarnation still says, or one that has ended, changes nothing.
-/// A report or an answer of a new incarnation of an object empties its history.
+/// It judges nothing. What an older incarnation still says, or one that has ended, changes nothing;
+/// that it panicked is passed on. A report or an answer of a new incarnation of an object empties
+/// its history.
 ///
 /// What is reported of an object that was never enrolled opens a row of its own, so that a
 /// component that dies before its enrolment arrives is not lost.
@@ -141,6 +142,15 @@ impl Monitor {
         // The orderly end of an unknown object, such as a dismissed one, is not reported.
         if exit == ExitReason::Stopped && !self.objects.contains_key(object) {
             return;
+        }
+        let is_older = |entry: &MonitoredObject| incarnation < entry.incarnation;
+        if self.objects.get(object).is_some_and(is_older)
+            && matches!(exit, ExitReason::Panicked { .. })
+        {
+            // That it panicked is reported in every case; of the present incarnation it says
+            // nothing.
+            let finding = Finding::Exited { exit, restarted_as };
+            return self.observe_object(object, incarnation, finding, now);
         }
         let is_known = self.objects.contains_key(object);
         let Some(entry) = self.admit(object, incarnation) else { return };

@@ -16,8 +16,8 @@ const OFFENCES: u32 = 5;
 /// attempt restart a node twice; systemd itself ceases to start a unit after five times in ten
 /// seconds (systemd.unit(5), StartLimitBurst).
 const RESTARTS: u32 = 3;
-/// The period in which offences and restarts are counted. A node that stays up for as long has ended
-/// its crash loop. systemd waits 0.1 s between two starts, a careful unit file up to 20 s.
+/// The period in which offences and restarts are counted. A node that stays up for as long has
+/// ended its crash loop. systemd waits 0.1 s between two starts, a careful unit file up to 20 s.
 pub(super) const PERIOD: Duration = Duration::from_secs(60);
 
 /// The latest offences and restarts of other nodes.

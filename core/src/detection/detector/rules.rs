@@ -22,7 +22,7 @@ impl Detector {
             return;
         }
         if scene.incarnation < seen.incarnation {
-            return;
+            return self.judge_late(&scene, finding);
         }
         let is_newer = scene.incarnation > seen.incarnation;
         if is_newer {
@@ -86,6 +86,23 @@ impl Detector {
     /// The hang or overload behind which an object is blocked.
     pub(super) fn behind(&self, object: &ObjectName) -> Option<FaultId> {
         self.objects.get(object)?.behind
+    }
+
+    /// What is seen of an incarnation that is over changes nothing; but that it panicked is
+    /// recorded. Its report comes late where the incarnation that followed has blocked its thread.
+    fn judge_late(&mut self, scene: &Scene, finding: Finding) {
+        let Finding::Exited { exit: ExitReason::Panicked { text, at, during }, .. } = finding
+        else {
+            return;
+        };
+        if let Some(id) = self.fault_log.open_fault(&scene.location, &FaultKind::Panic) {
+            let entry = self.fault_log.entry_mut(id).expect("it stands");
+            entry.fault.count = entry.fault.count.saturating_add(1);
+            return;
+        }
+        let detail = describe_panic(&text, &at, during);
+        let id = self.record(scene, FaultKind::Panic, detail, Cause::Itself);
+        self.await_next_incarnation(id, scene.at);
     }
 
     /// An object that waits behind a hang is remembered, so that its silence is known for a

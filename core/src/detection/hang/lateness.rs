@@ -96,7 +96,11 @@ impl Lateness {
         let due = missed + u64::from(next.ticks.wrapping_sub(window.ticks));
         let is_full = due >= ROUNDS_LEAST || reading.interval.is_zero();
         if now - window.since >= WINDOW && is_full {
-            let limit = u64::from(limits.max_missed_percent);
+            // Half of the limit where it was exceeded: a load near the limit is one overload.
+            let limit = match u64::from(limits.max_missed_percent) {
+                limit if limit < 100 && self.bad >= WINDOWS => limit / 2,
+                limit => limit,
+            };
             let rounds = due >= ROUNDS_LEAST && missed * 100 > due * limit;
             let expired = reading.expired.saturating_sub(window.expired);
             let messages = expired >= EXPIRED_LEAST && reading.allowance.is_zero();
@@ -111,6 +115,11 @@ impl Lateness {
             self.window = Some(next);
         }
         (self.bad >= WINDOWS).then_some(self.counts)
+    }
+
+    /// How long messages may wait: half of the limit where some have waited for longer.
+    pub(super) fn max_delay(&self, limits: &HangLimits) -> Duration {
+        if self.delayed_since.is_some() { limits.max_delay / 2 } else { limits.max_delay }
     }
 
     /// The queue holds messages back, or does not. Says whether it has for long enough.

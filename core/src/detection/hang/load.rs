@@ -112,7 +112,7 @@ impl ComponentRecord {
     ) {
         let Some(reading) = self.reading else { return };
         let slot = around.slot;
-        let max_delay = self.judged.limits.max_delay;
+        let max_delay = self.lateness.max_delay(&self.judged.limits);
         let root = if around.is_busy { around.kept_by(WINDOW) } else { None };
         let at = (now, around.missed);
         let counts = self.lateness.handle_counts(&self.judged.limits, &reading, root, at);

@@ -332,8 +332,7 @@ fn a_hang_of_the_incarnation_that_was_to_end_a_hang_is_handed_over_again() {
 #[test]
 fn what_is_seen_of_an_older_incarnation_is_ignored() {
     let ended = exited(ExitReason::Aborted);
-    let died = exited(panicked());
-    let findings = [ended, died, silent(), declared(), state(Lifecycle::Error), hangs(&[])];
+    let findings = [ended, silent(), declared(), state(Lifecycle::Error), hangs(&[])];
     for finding in findings {
         let mut bench = Bench::new();
         bench.see("arm", TWO, state(Lifecycle::Active));
@@ -342,6 +341,25 @@ fn what_is_seen_of_an_older_incarnation_is_ignored() {
 
         assert_eq!(bench.outputs(), [""; 0]);
     }
+}
+
+#[test]
+fn a_panic_of_an_older_incarnation_is_told_late_and_changes_nothing_else() {
+    let mut bench = Bench::new();
+    bench.see("arm", TWO, state(Lifecycle::Active));
+    bench.see("arm", ONE, exited(panicked()));
+    assert_eq!(bench.outputs(), ["Found 1", "Recovered 1"]);
+    assert_eq!(bench.state_of("arm"), Some((TWO, Lifecycle::Active)));
+
+    let mut bench = Bench::new();
+    bench.see("arm", TWO, hangs(&[]));
+    assert_eq!(bench.outputs(), ["Found 1", "+1"]);
+    bench.see("arm", ONE, Finding::Exited { exit: panicked(), restarted_as: Some(TWO) });
+    assert_eq!(bench.outputs(), ["Found 2"]);
+    bench.see("arm", ONE, exited(panicked()));
+    assert_eq!(bench.fault(2).count, 2);
+    bench.see("arm", Incarnation(3), state(Lifecycle::Active));
+    assert_eq!(bench.outputs(), ["Recovered 2", "Recovered 1", "-1"]);
 }
 
 #[test]
