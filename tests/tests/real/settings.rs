@@ -323,7 +323,7 @@ fn links_of_which_one_would_be_taken_for_another_or_cost_nothing_are_refused() {
         refused(one(link().hello_every(MS * 500).expected_within(100 * MS)), &["500ms"]).await;
         taken(one(link().expected_within(Duration::MAX).cost(1))).await;
 
-        let twice = network("mem")(link()).link(Link::in_memory("c", "b"));
+        let twice = network("mem")(link()).link(Link::to("c", "b"));
         refused(node().network(twice), &["two links of network mem lead to b"]).await;
         let both = one(link()).network(network("other")(link().named("mem")));
         refused(both, &["two links are called mem", "on mem and on other", "Link::named"]).await;
