@@ -226,10 +226,7 @@ type RefusalKey = (Verb, String, String);
 
 #[derive(Clone, Debug)]
 struct RefusalEntry {
-    newest: AccessDenied,
-    times: u64,
-    first: Instant,
-    last: Instant,
+    row: RefusalRow,
     reported: Instant,
 }
 
@@ -274,12 +271,7 @@ impl RefusalLog {
     /// What was refused, in the order of peers.
     pub fn rows(&self) -> impl Iterator<Item = RefusalRow> {
         let entries = self.peers.values().flat_map(|peer| peer.entries.values());
-        entries.map(|entry| RefusalRow {
-            denied: entry.newest.clone(),
-            times: entry.times,
-            first: entry.first,
-            last: entry.last,
-        })
+        entries.map(|entry| entry.row.clone())
     }
 }
 
@@ -287,20 +279,20 @@ impl PeerRefusals {
     fn count(&mut self, denied: AccessDenied, now: Instant) -> Option<u64> {
         let AccessDenied { verb, object, contract, .. } = denied.clone();
         let key = (verb, object, contract);
-        if let Some(entry) = self.entries.get_mut(&key) {
-            entry.times = entry.times.saturating_add(1);
-            (entry.newest, entry.last) = (denied, now);
-            let is_due = now >= entry.reported + REFUSAL_REMINDER;
-            entry.reported = if is_due { now } else { entry.reported };
-            return is_due.then_some(entry.times);
+        if let Some(RefusalEntry { row, reported }) = self.entries.get_mut(&key) {
+            row.times = row.times.saturating_add(1);
+            (row.denied, row.last) = (denied, now);
+            let is_due = now >= *reported + REFUSAL_REMINDER;
+            *reported = if is_due { now } else { *reported };
+            return is_due.then_some(row.times);
         }
         if self.entries.len() >= ROWS_MAX {
-            let oldest = self.entries.iter().min_by_key(|(_, entry)| entry.last);
+            let oldest = self.entries.iter().min_by_key(|(_, entry)| entry.row.last);
             let oldest = oldest.map(|(key, _)| key.clone());
             oldest.map(|key| self.entries.remove(&key));
         }
-        let entry = RefusalEntry { newest: denied, times: 1, first: now, last: now, reported: now };
-        self.entries.insert(key, entry);
+        let row = RefusalRow { denied, times: 1, first: now, last: now };
+        self.entries.insert(key, RefusalEntry { row, reported: now });
         Some(1)
     }
 }
