@@ -188,7 +188,7 @@ fn neighbours_of_one_that_hangs_at_each_start_go_on_and_are_blamed_for_nothing()
         until(async || node.abandoned_threads() == 0, "they come back").await;
         let before = bench.0.count.load(Relaxed);
         let restarted = node.restart_child("laser").await.expect("it starts");
-        assert!(matches!(restarted, RestartedChild::Running(_)), "{restarted:?}");
+        assert_ne!(restarted, RestartedChild::Finished);
         until(async || bench.0.count.load(Relaxed) > before, "the counter goes on").await;
         assert_eq!(node.state(), NodeState::Running);
         node.shutdown().await;
