@@ -2,15 +2,15 @@
 
 use crate::component::spec_error::SpecError;
 #[cfg(feature = "network")]
-use crate::service::ServiceSpecError;
+use crate::service::ServiceRefused;
 use crate::settings::SettingError;
 use blastema_core::NameError;
+#[cfg(feature = "network")]
+use blastema_core::NodeName;
 use blastema_core::detection::RegistrationError;
 use blastema_core::detection::dependencies::DependencyError;
 use blastema_core::port::ConnectError;
 use blastema_core::recovery::PlanError;
-#[cfg(feature = "network")]
-use blastema_core::{NodeName, ObjectName};
 #[cfg(feature = "network")]
 use blastema_transports::EndpointError;
 use std::path::PathBuf;
@@ -124,7 +124,7 @@ pub enum StartError {
     #[error("service {name}: {reason}")]
     Service {
         /// The name of the service.
-        name: ObjectName,
+        name: String,
         /// What is wrong, and what to write.
         reason: String,
     },
@@ -253,12 +253,9 @@ impl From<SettingError> for StartError {
 }
 
 #[cfg(feature = "network")]
-impl From<ServiceSpecError> for StartError {
-    fn from(error: ServiceSpecError) -> Self {
-        match error {
-            ServiceSpecError::Name { of, error } => StartError::Name { of, error },
-            ServiceSpecError::Refused { name, reason } => StartError::Service { name, reason },
-        }
+impl From<ServiceRefused> for StartError {
+    fn from(ServiceRefused { name, reason }: ServiceRefused) -> Self {
+        StartError::Service { name, reason }
     }
 }
 
