@@ -26,7 +26,6 @@ pub(crate) use roster::Roster;
 pub use roster::ServiceRow;
 
 use crate::component::context::Context;
-use crate::component::ports::PortConstructor;
 use crate::component::{Component, Failure, Handle};
 use crate::host::spec::ChildSpec;
 use crate::platform::panics;
@@ -39,7 +38,7 @@ use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::Duration;
-use types::{LoadState, RoleChanged, SaveState};
+use types::DriveComponent;
 
 /// A component whose state can be carried over to another node. Needs the feature `network`.
 pub trait Stateful: Component {
@@ -59,27 +58,19 @@ pub trait Stateful: Component {
     }
 }
 
-impl<C: Stateful> Handle<SaveState> for C {
-    async fn handle(&mut self, _: SaveState, _: &mut Context<Self>) -> Vec<u8> {
-        self.save()
-    }
-}
-
-impl<C: Stateful> Handle<LoadState> for C {
-    async fn handle(&mut self, message: LoadState, cx: &mut Context<Self>) -> bool {
-        match self.load(&message.state) {
-            Ok(()) => true,
-            Err(failure) => {
-                cx.fail(failure);
-                false
+impl<C: Stateful> Handle<DriveComponent> for C {
+    async fn handle(&mut self, message: DriveComponent, cx: &mut Context<Self>) -> Option<Vec<u8>> {
+        match message {
+            DriveComponent::Save => return Some(self.save()),
+            DriveComponent::Load { state } => {
+                if let Err(failure) = self.load(&state) {
+                    cx.fail(failure);
+                    return None;
+                }
             }
+            DriveComponent::RoleChanged { epoch } => self.role_changed(epoch, cx),
         }
-    }
-}
-
-impl<C: Stateful> Handle<RoleChanged> for C {
-    async fn handle(&mut self, message: RoleChanged, cx: &mut Context<Self>) {
-        self.role_changed(message.epoch, cx);
+        Some(Vec::new())
     }
 }
 
@@ -121,7 +112,7 @@ impl<C: Stateful> fmt::Debug for ServiceSpec<C> {
 }
 
 impl<C: Stateful> ServiceSpec<C> {
-    /// Describes a service on these nodes, 256 at most. The earlier a node stands in the list, the
+    /// Describes a service on these nodes, seven at most. The earlier a node stands in the list, the
     /// earlier it stands for election. Standbys are warm. Without a majority of the nodes there is
     /// no primary.
     pub fn new<'a>(
@@ -173,7 +164,9 @@ impl<C: Stateful> ServiceSpec<C> {
         let carried = carried.map_err(|reason| ServiceRefused { name: self.name.clone(), reason });
         let factory = self.factory;
         let child = ChildSpec::new(&format!("{}/replica", self.name), move || factory());
-        (child.with_ports(|ports| ports.add_ports(stateful_ports())), carried)
+        let child = child
+            .with_ports(|ports| ports.add_ports(vec![ContractPort::open::<C, DriveComponent>]));
+        (child, carried)
     }
 
     fn parse(&self, own: &str) -> Result<Carried, String> {
@@ -241,15 +234,6 @@ fn first_state<C: Stateful>(factory: &dyn Fn() -> C) -> Result<Bytes, String> {
              and `save` do without what may be missing, and report that from `on_initialize`"
         )
     })
-}
-
-/// Returns the ports by which a replica drives its component.
-pub(crate) fn stateful_ports<C: Stateful>() -> Vec<PortConstructor<C>> {
-    vec![
-        ContractPort::open::<C, SaveState>,
-        ContractPort::open::<C, LoadState>,
-        ContractPort::open::<C, RoleChanged>,
-    ]
 }
 
 /// Returns whether the component is stopped, isolated or removed, and not only restarting.
