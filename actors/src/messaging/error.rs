@@ -1,7 +1,6 @@
 //! Why a message was not taken, or a request not answered, and the message itself where it is given
 //! back.
 
-use blastema_core::contract::codec;
 use blastema_core::{DeliveryError, NodeName, ObjectName, Outcome};
 use std::fmt;
 use std::time::Duration;
@@ -49,23 +48,6 @@ impl fmt::Display for Receiver {
             None => write!(f, "{}", self.object),
         }
     }
-}
-
-/// The most bytes of an error's kind in a reply.
-const KIND_MAX: usize = 16 * 1024;
-
-/// The bytes of a reply that holds an error; none if they were more than [`KIND_MAX`].
-pub(crate) fn encode_kind(kind: &DeliveryError) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    // A failed encoding leaves the buffer empty.
-    let _ = codec::encode_bounded(kind, KIND_MAX, &mut bytes);
-    bytes
-}
-
-/// Reads what [`encode_kind`] wrote.
-pub(crate) fn decode_kind(bytes: &[u8]) -> DeliveryError {
-    codec::decode_bounded::<DeliveryError, KIND_MAX>(bytes)
-        .unwrap_or_else(|error| DeliveryError::Undecodable { reason: error.to_string() })
 }
 
 /// A message that was not handed over.

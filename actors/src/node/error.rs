@@ -1,14 +1,14 @@
 //! Why a node does not start.
 
 use crate::component::spec_error::SpecError;
-use crate::service::ServiceSpecError;
+use crate::service::ServiceRefused;
 use crate::settings::SettingError;
 use blastema_core::NameError;
+use blastema_core::NodeName;
 use blastema_core::detection::RegistrationError;
 use blastema_core::detection::dependencies::DependencyError;
 use blastema_core::port::ConnectError;
 use blastema_core::recovery::PlanError;
-use blastema_core::{NodeName, ObjectName};
 use blastema_transports::EndpointError;
 use std::path::{Path, PathBuf};
 use std::{fmt, io};
@@ -106,7 +106,7 @@ pub enum StartError {
     #[error("service {name}: {reason}")]
     Service {
         /// The name of the service.
-        name: ObjectName,
+        name: String,
         /// What is wrong, and what to write.
         reason: String,
     },
@@ -217,12 +217,9 @@ impl From<SettingError> for StartError {
     }
 }
 
-impl From<ServiceSpecError> for StartError {
-    fn from(error: ServiceSpecError) -> Self {
-        match error {
-            ServiceSpecError::Name { of, error } => StartError::Name { of, error },
-            ServiceSpecError::Refused { name, reason } => StartError::Service { name, reason },
-        }
+impl From<ServiceRefused> for StartError {
+    fn from(ServiceRefused { name, reason }: ServiceRefused) -> Self {
+        StartError::Service { name, reason }
     }
 }
 

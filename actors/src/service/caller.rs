@@ -2,13 +2,14 @@
 
 use super::finder::{Finder, FoundPrimary, NoAnswer, PROBE};
 use super::roster::Roster;
-use super::types::{Answered, AskService, Task};
-use crate::messaging::error::{RequestError, decode_kind};
+use super::types::{Answered, AskService, TASK_MAX, Task};
+use crate::messaging::error::RequestError;
 use crate::messaging::message_id::next_id;
 use crate::platform;
 use crate::registry::Registry;
 use blastema_core::contract::codec;
 use blastema_core::delivery::retry::FailedAttempt;
+use blastema_core::service::ServiceOutcome;
 use blastema_core::sorted::SortedSet;
 use blastema_core::{
     ContractIdentity, DeliveryError, Instant, MessageId, NameError, NodeName, ObjectName, Request,
@@ -145,12 +146,14 @@ impl<M: Request> ServiceRef<M> {
         message: M,
         rule: &RetryPolicy,
     ) -> Result<M::Reply, RequestError<M>> {
-        let mut payload = Vec::new();
-        if codec::encode(&message, &mut payload).is_err() {
-            let why = DeliveryError::TooLarge { limit: M::MAX_SIZE };
+        let identity = ContractIdentity::of::<M>().brief().encode();
+        let (mut payload, mut task) = (Vec::new(), Vec::new());
+        let encoded = codec::encode(&message, &mut payload)
+            .and_then(|()| codec::encode_bounded(&Task { identity, payload }, TASK_MAX, &mut task));
+        if encoded.is_err() {
+            let why = DeliveryError::TooLarge { limit: M::MAX_SIZE.min(TASK_MAX) };
             return Err(RequestError::new(why, Some(message)));
         }
-        let task = Task { identity: ContractIdentity::of::<M>().brief().encode(), payload };
         let until = platform::now() + rule.within;
         let failed = |why| RequestError::new(why, None);
         for asked in 1.. {
@@ -249,35 +252,8 @@ impl<M: Request> ServiceRef<M> {
                     continue;
                 }
             };
-            match answered {
-                Ok(Answered::Done { reply, epoch }) => {
-                    self.finder.note_epoch(&node, epoch);
-                    self.finder.note(node);
-                    return Ok(reply);
-                }
-                Ok(Answered::Failed { why, epoch }) => {
-                    self.finder.note_epoch(&node, epoch);
-                    return Err(decode_kind(&why));
-                }
-                Ok(Answered::Refused { why }) => match decode_kind(&why) {
-                    DeliveryError::Full | DeliveryError::Restarting => {
-                        primary = Some(node);
-                        tokio::time::sleep(PROBE).await;
-                    }
-                    // The component has the same contract: the nodes' configurations differ.
-                    DeliveryError::ContractDiffers { difference } => {
-                        progress.difference = Some(difference);
-                        failed = Some(node);
-                    }
-                    why => return Err(why),
-                },
-                Ok(Answered::Elsewhere { primary: named }) => {
-                    progress.perhaps_begun = true;
-                    primary = named.and_then(|name| self.finder.member(&name));
-                    if primary.is_none() || primary.as_ref() == Some(&node) {
-                        tokio::time::sleep(PROBE).await;
-                    }
-                }
+            let (outcome, epoch) = match answered {
+                Ok(Answered { outcome, epoch }) => (ServiceOutcome::decode(&outcome), epoch),
                 Err(why @ DeliveryError::Forbidden { .. }) => return Err(progress.refused(why)),
                 Err(why) => {
                     progress.perhaps_begun = true;
@@ -289,6 +265,32 @@ impl<M: Request> ServiceRef<M> {
                         uncertain = Some(why.to_string());
                     }
                     failed = Some(node);
+                    continue;
+                }
+            };
+            let outcome = outcome
+                .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })?;
+            match outcome {
+                ServiceOutcome::Served(result) => {
+                    self.finder.note_answer(node, epoch);
+                    return result;
+                }
+                ServiceOutcome::Refused(DeliveryError::Full | DeliveryError::Restarting) => {
+                    primary = Some(node);
+                    tokio::time::sleep(PROBE).await;
+                }
+                // The component has the same contract: the nodes' configurations differ.
+                ServiceOutcome::Refused(DeliveryError::ContractDiffers { difference }) => {
+                    progress.difference = Some(difference);
+                    failed = Some(node);
+                }
+                ServiceOutcome::Refused(why) => return Err(why),
+                ServiceOutcome::Elsewhere(named) => {
+                    progress.perhaps_begun = true;
+                    primary = named.filter(|named| self.finder.may_serve(named));
+                    if primary.is_none() || primary.as_ref() == Some(&node) {
+                        tokio::time::sleep(PROBE).await;
+                    }
                 }
             }
         }

@@ -137,11 +137,12 @@ impl Finder {
     }
 
     /// Notes that this node answered in that epoch.
-    pub(super) fn note_epoch(&self, node: &NodeName, epoch: u64) {
+    pub(super) fn note_answer(&self, node: NodeName, epoch: u64) {
         let mut known = platform::lock(&self.known);
-        if epoch >= known.least_epoch(node) {
+        if epoch >= known.least_epoch(&node) {
             (known.answered, known.outdated) = (Some((epoch, node.clone())), None);
         }
+        known.primary = Some(node);
     }
 
     /// Asks all carriers of the service for the primary, except the node `besides`, which does not
@@ -188,7 +189,8 @@ impl Finder {
                 _ => NoAnswer::NoPrimary,
             }
         })?;
-        let primary = serving.primary.and_then(|primary| self.member(&primary));
+        let primary = serving.primary.and_then(|primary| NodeName::new(&primary).ok());
+        let primary = primary.filter(|primary| self.may_serve(primary));
         if let Some(primary) = &primary
             && !platform::lock(&self.known).accepts(primary, serving.epoch, platform::now())
         {
@@ -254,16 +256,15 @@ impl Finder {
         let mut members = self.roster.members(&self.name);
         let known = platform::lock(&self.known);
         members.extend(known.members.iter().cloned());
-        members.retain(|member| self.registry.access().may_claim(member, &self.name));
+        members.retain(|member| self.may_serve(member));
         members.sort();
         members.dedup();
         members
     }
 
-    /// Returns the node of this name, if it may claim the service.
-    pub(super) fn member(&self, name: &str) -> Option<NodeName> {
-        let node = NodeName::new(name).ok()?;
-        self.registry.access().may_claim(&node, &self.name).then_some(node)
+    /// Returns whether this node may claim the service.
+    pub(super) fn may_serve(&self, node: &NodeName) -> bool {
+        self.registry.access().may_claim(node, &self.name)
     }
 }
 

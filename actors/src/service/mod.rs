@@ -26,19 +26,19 @@ pub(crate) use roster::Roster;
 pub use roster::ServiceRow;
 
 use crate::component::context::Context;
-use crate::component::ports::PortConstructor;
 use crate::component::{Component, Failure, Handle};
 use crate::host::spec::ChildSpec;
 use crate::platform::panics;
 use crate::registry::ContractPort;
-use blastema_core::service::ReplicaConfig;
-use blastema_core::{DeliveryError, NameError, NodeName, ObjectName};
+use blastema_core::service::{HEARTBEAT_MAX, HEARTBEAT_MIN, MEMBERS_MAX, ReplicaConfig};
+use blastema_core::sorted::SortedSet;
+use blastema_core::{DeliveryError, NodeName, ObjectName};
 use bytes::Bytes;
 use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::Duration;
-use types::{LoadState, RoleChanged, SaveState};
+use types::DriveComponent;
 
 /// A component whose state can be carried over to another node.
 pub trait Stateful: Component {
@@ -58,27 +58,19 @@ pub trait Stateful: Component {
     }
 }
 
-impl<C: Stateful> Handle<SaveState> for C {
-    async fn handle(&mut self, _: SaveState, _: &mut Context<Self>) -> Vec<u8> {
-        self.save()
-    }
-}
-
-impl<C: Stateful> Handle<LoadState> for C {
-    async fn handle(&mut self, message: LoadState, cx: &mut Context<Self>) -> bool {
-        match self.load(&message.state) {
-            Ok(()) => true,
-            Err(failure) => {
-                cx.fail(failure);
-                false
+impl<C: Stateful> Handle<DriveComponent> for C {
+    async fn handle(&mut self, message: DriveComponent, cx: &mut Context<Self>) -> Option<Vec<u8>> {
+        match message {
+            DriveComponent::Save => return Some(self.save()),
+            DriveComponent::Load { state } => {
+                if let Err(failure) = self.load(&state) {
+                    cx.fail(failure);
+                    return None;
+                }
             }
+            DriveComponent::RoleChanged { epoch } => self.role_changed(epoch, cx),
         }
-    }
-}
-
-impl<C: Stateful> Handle<RoleChanged> for C {
-    async fn handle(&mut self, message: RoleChanged, cx: &mut Context<Self>) {
-        self.role_changed(message.epoch, cx);
+        Some(Vec::new())
     }
 }
 
@@ -120,7 +112,7 @@ impl<C: Stateful> fmt::Debug for ServiceSpec<C> {
 }
 
 impl<C: Stateful> ServiceSpec<C> {
-    /// Describes a service on these nodes, 256 at most. The earlier a node stands in the list, the
+    /// Describes a service on these nodes, seven at most. The earlier a node stands in the list, the
     /// earlier it stands for election. Standbys are warm. Without a majority of the nodes there is
     /// no primary.
     pub fn new<'a>(
@@ -167,49 +159,67 @@ impl<C: Stateful> ServiceSpec<C> {
     }
 
     /// Returns the component's child spec, and what the node `own` needs to carry the service.
-    pub(crate) fn carried(self, own: &str) -> (ChildSpec<C>, Result<Carried, ServiceSpecError>) {
-        let (carried, factory) = (self.parse(own), self.factory);
+    pub(crate) fn carried(self, own: &str) -> (ChildSpec<C>, Result<Carried, ServiceRefused>) {
+        let carried = self.parse(own);
+        let carried = carried.map_err(|reason| ServiceRefused { name: self.name.clone(), reason });
+        let factory = self.factory;
         let child = ChildSpec::new(&format!("{}/replica", self.name), move || factory());
-        (child.with_ports(|ports| ports.add_ports(stateful_ports())), carried)
+        let child = child
+            .with_ports(|ports| ports.add_ports(vec![ContractPort::open::<C, DriveComponent>]));
+        (child, carried)
     }
 
-    fn parse(&self, own: &str) -> Result<Carried, ServiceSpecError> {
-        let of = |what: &str| {
-            let of = format!("{what} service {}", self.name);
-            move |error| ServiceSpecError::Name { of, error }
-        };
-        let object = |text: &str| ObjectName::new(text).map_err(of("the name of"));
-        let members = self.members.iter().map(|name| NodeName::new(name)).collect::<Result<_, _>>();
-        let depends_on = self.depends_on.iter().map(|name| ObjectName::new(name));
-        let depends_on: Vec<_> =
-            depends_on.collect::<Result<_, _>>().map_err(of("what is depended on by"))?;
+    fn parse(&self, own: &str) -> Result<Carried, String> {
+        let object = |text: &str| ObjectName::new(text).map_err(|error| error.to_string());
+        let node = |text: &str| NodeName::new(text).map_err(|error| error.to_string());
+        let name = object(&self.name)?;
+        let component = object(&format!("{name}/replica"))?;
+        let actor = object(&format!("{component}/body"))?;
+        let depends_on = self.depends_on.iter().map(|name| object(name));
+        let depends_on: Vec<_> = depends_on.collect::<Result<_, _>>()?;
         let config = ReplicaConfig {
-            own: NodeName::new(own).map_err(|error| ServiceSpecError::Name {
-                of: "the name of the node".into(),
-                error,
-            })?,
-            members: members.map_err(of("the name of a node of"))?,
+            own: node(own)?,
+            members: self.members.iter().map(|name| node(name)).collect::<Result<_, _>>()?,
             kind: self.kind,
             on_partition: self.on_partition,
             depends: !depends_on.is_empty(),
             heartbeat_interval: self.heartbeat_interval,
         };
-        let name = object(&self.name)?;
-        let refused = |reason| ServiceSpecError::Refused { name: name.clone(), reason };
-        let initial = first_state(&*self.factory).map_err(refused)?;
-        let component = object(&format!("{name}/replica"))?;
-        let actor = object(&format!("{component}/body"))?;
+        check(&config)?;
+        let initial = first_state(&*self.factory)?;
         Ok(Carried { name, component, actor, config, initial, depends_on })
     }
 }
 
-/// Why a node cannot carry a service.
+/// A node cannot carry a service: it has a mistake, or its component cannot be built.
 #[derive(Clone, Debug)]
-pub(crate) enum ServiceSpecError {
-    /// A name does not parse.
-    Name { of: String, error: NameError },
-    /// Its component cannot be built.
-    Refused { name: ObjectName, reason: String },
+pub(crate) struct ServiceRefused {
+    pub(crate) name: String,
+    pub(crate) reason: String,
+}
+
+/// Checks that the nodes of a service differ, are not too many, and that this is one of them; and
+/// that its heartbeats can be sent.
+fn check(config: &ReplicaConfig) -> Result<(), String> {
+    let different: SortedSet<_> = config.members.iter().collect();
+    let listed = config.members.len();
+    Err(if !different.contains(&config.own) {
+        format!("{} is none of its nodes: add it, or leave the service out here", config.own)
+    } else if different.len() < listed {
+        "a node stands twice among its nodes: name each once".to_owned()
+    } else if listed > MEMBERS_MAX {
+        format!(
+            "{listed} nodes cannot carry it, {MEMBERS_MAX} at most: three or five outlive the failure of one or two"
+        )
+    } else if !(HEARTBEAT_MIN..=HEARTBEAT_MAX).contains(&config.heartbeat_interval) {
+        format!(
+            "its primary cannot send a heartbeat every {:?}: give .heartbeat_every(..) from \
+             {HEARTBEAT_MIN:?} to {HEARTBEAT_MAX:?}, such as 50 ms",
+            config.heartbeat_interval
+        )
+    } else {
+        return Ok(());
+    })
 }
 
 /// Returns the first state of the component. The component is built once more for that, before
@@ -224,15 +234,6 @@ fn first_state<C: Stateful>(factory: &dyn Fn() -> C) -> Result<Bytes, String> {
              and `save` do without what may be missing, and report that from `on_initialize`"
         )
     })
-}
-
-/// Returns the ports by which a replica drives its component.
-pub(crate) fn stateful_ports<C: Stateful>() -> Vec<PortConstructor<C>> {
-    vec![
-        ContractPort::open::<C, SaveState>,
-        ContractPort::open::<C, LoadState>,
-        ContractPort::open::<C, RoleChanged>,
-    ]
 }
 
 /// Returns whether the component is stopped, isolated or removed, and not only restarting.

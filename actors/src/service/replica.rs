@@ -4,15 +4,13 @@ use super::finder::Finder;
 use super::is_inactive;
 use super::roster::Roster;
 use super::types::{
-    Answered, AskService, CompareConfiguration, LoadState, ReplicaMessage, RoleChanged, SaveState,
-    Serving, Task, WhoServes,
+    Answered, AskService, CompareConfiguration, DriveComponent, ReplicaMessage, Serving, TASK_MAX,
+    Task, WhoServes,
 };
 use crate::component::environment::ComponentEnvironment;
 use crate::messaging::death_watch::{Down, DownReason, Watcher};
-use crate::messaging::error::encode_kind;
 use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::reply::Responder;
-use crate::messaging::sender::Sender;
 use crate::platform;
 use crate::registry::access::MessageOrigin;
 use crate::registry::service_fn::ServiceFn;
@@ -26,13 +24,12 @@ use blastema_contract::reports::{AreYouAlive, DeclaredFaultCleared, FaultDeclare
 use blastema_core::contract::codec;
 use blastema_core::net::NodeId;
 use blastema_core::service::{
-    MESSAGE_MAX, Replica, ReplicaConfig, ReplicaOutput, Role, ServiceOutcome, ServiceRequest,
-    StandbyKind,
+    MESSAGE_MAX, Replica, ReplicaConfig, ReplicaOutput, Role, STATE_MAX, ServiceOutcome,
+    ServiceRequest, StandbyKind,
 };
 use blastema_core::sorted::SortedMap;
 use blastema_core::{
-    Contract, DeliveryError, FaultKind, GatherBuffer, MessageId, NodeName, ObjectName,
-    PeerIdentity, Request,
+    Contract, DeliveryError, FaultKind, GatherBuffer, MessageId, NodeName, ObjectName, PeerIdentity,
 };
 use bytes::Bytes;
 use std::collections::VecDeque;
@@ -50,8 +47,6 @@ const COMPONENT_POLL: Duration = Duration::from_millis(100);
 const DIRECTORY_POLL: Duration = Duration::from_millis(500);
 /// How long another replica has to answer with its configuration.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
-/// The most bytes of one task. Callers check the same limit.
-const TASK_MAX: usize = 2 * 1024 * 1024;
 
 /// The most questions that may wait for a primary: a few of each of many callers. Further ones are
 /// answered with what is known.
@@ -90,7 +85,6 @@ pub(crate) struct ReplicaActor {
     next_caller: u64,
     /// The component is to be asked whether it accepts jobs again.
     polls_component: bool,
-    others: SortedMap<NodeName, Sender<ReplicaMessage>>,
 }
 
 impl ReplicaActor {
@@ -119,7 +113,6 @@ impl ReplicaActor {
                 inquiry: None,
                 next_caller: 0,
                 polls_component: false,
-                others: SortedMap::new(),
             }
         };
         let actor = guardian.start(carried.actor.clone(), arbiter, make);
@@ -202,20 +195,35 @@ impl ReplicaActor {
         }
     }
 
-    fn load(&mut self, state: Bytes, context: &mut Context<Self>) {
+    /// Sends a message of the replica's own to the component, whose reply comes back to `then`.
+    fn drive_component(
+        &self,
+        message: &DriveComponent,
+        then: impl FnOnce(&mut Self, Result<Option<Vec<u8>>, DeliveryError>, &mut Context<Self>)
+        + Send
+        + 'static,
+        context: &mut Context<Self>,
+    ) {
         let mut bytes = Vec::new();
-        let message = LoadState { state: state.to_vec() };
-        if codec::encode(&message, &mut bytes).is_err() {
-            warn!(service = %self.carried.name, "a state is too large to be loaded");
+        // Every message fits: a state that is loaded has at most `STATE_MAX` bytes.
+        let _ = codec::encode(message, &mut bytes);
+        let read =
+            move |replica: &mut Self, reply: Result<Bytes, _>, context: &mut Context<Self>| {
+                let decode = |reply: Bytes| codec::decode_reply::<DriveComponent>(&reply);
+                then(replica, reply.and_then(|reply| decode(reply).map_err(undecodable)), context);
+            };
+        self.hand_over(DriveComponent::NAME, bytes, read, context);
+    }
+
+    fn load(&mut self, state: Bytes, context: &mut Context<Self>) {
+        if state.len() > STATE_MAX {
+            // It is the first state, which the component has. The machine declares it as a fault.
             return self.machine.handle_loaded();
         }
-        let then = move |replica: &mut Self, result, context: &mut Context<Self>| match reply_of::<
-            LoadState,
-        >(
-            result
-        ) {
-            Ok(true) => replica.machine.handle_loaded(),
-            Ok(false) => replica.machine.handle_not_loaded(platform::now()),
+        let message = DriveComponent::Load { state: state.to_vec() };
+        let then = move |replica: &mut Self, loaded, context: &mut Context<Self>| match loaded {
+            Ok(Some(_)) => replica.machine.handle_loaded(),
+            Ok(None) => replica.machine.handle_not_loaded(platform::now()),
             Err(why) if is_inactive(&why) => {
                 replica.machine.handle_not_loaded(platform::now());
                 replica.handle_inactive(context);
@@ -226,22 +234,21 @@ impl ReplicaActor {
                 });
             }
         };
-        self.hand_over(LoadState::NAME, bytes, then, context);
+        self.drive_component(&message, then, context);
     }
 
     /// Asks the component for its state, `after` a request with this reply.
     fn save(&mut self, after: Option<Bytes>, context: &mut Context<Self>) {
-        let mut bytes = Vec::new();
-        // A message without fields always fits.
-        let _ = codec::encode(&SaveState, &mut bytes);
-        let then = move |replica: &mut Self, result, _: &mut Context<Self>| {
-            let (state, now) = (reply_of::<SaveState>(result).map(Bytes::from), platform::now());
+        let then = move |replica: &mut Self, saved: Result<_, _>, _: &mut Context<Self>| {
+            let state = saved.map(|state: Option<Vec<u8>>| state.unwrap_or_default().into());
             match after {
-                Some(reply) => replica.machine.handle_executed(Ok(reply), Some(state), now),
-                None => replica.machine.handle_saved(state, now),
+                Some(reply) => {
+                    replica.machine.handle_executed(Ok(reply), Some(state), platform::now());
+                }
+                None => replica.machine.handle_saved(state, platform::now()),
             }
         };
-        self.hand_over(SaveState::NAME, bytes, then, context);
+        self.drive_component(&DriveComponent::Save, then, context);
     }
 
     /// The component is stopped or isolated.
@@ -255,18 +262,11 @@ impl ReplicaActor {
             let detail = "a reply is too large to be kept for the standbys: let it be smaller";
             return self.declare(FaultKind::CheckFailed, detail);
         }
-        if !self.others.contains_key(to) {
-            let name = format!("{to}:{}", self.carried.name);
-            let Ok(sender) = self.registry.sender::<ReplicaMessage>(&name) else { return };
-            self.others.insert(to.clone(), sender);
-        }
-        if let Some(other) = self.others.get(to) {
+        let name = format!("{to}:{}", self.carried.name);
+        if let Ok(other) = self.registry.sender::<ReplicaMessage>(&name) {
             let from = self.carried.config.own.to_string();
             // The machine repeats what an unreachable node misses.
-            let sent = other.tell(ReplicaMessage { from, message: message.into() });
-            let isolated =
-                sent.is_err_and(|refused| matches!(refused.kind, DeliveryError::Isolated { .. }));
-            self.machine.handle_sent(to, isolated);
+            let _ = other.tell(ReplicaMessage { from, message: message.into() });
         }
     }
 
@@ -355,15 +355,12 @@ impl ReplicaActor {
             Some(Role::Primary { epoch }) => Some(epoch),
             _ => None,
         };
-        let mut bytes = Vec::new();
-        // A number always fits.
-        let _ = codec::encode(&RoleChanged { epoch }, &mut bytes);
         let then = |replica: &mut Self, received, context: &mut Context<Self>| match received {
             Ok(_) => replica.machine.handle_component_resumed(platform::now()),
             Err(why) if is_inactive(&why) => replica.handle_inactive(context),
             Err(_) => {}
         };
-        self.hand_over(RoleChanged::NAME, bytes, then, context);
+        self.drive_component(&DriveComponent::RoleChanged { epoch }, then, context);
     }
 
     /// Schedules a question whether the component accepts jobs again.
@@ -432,7 +429,7 @@ impl ReplicaActor {
                     actor.machine.handle_no_service(&with)
                 }
                 Err(DeliveryError::Left { .. }) => actor.machine.handle_left(&with),
-                Err(_) => actor.machine.handle_no_answer(&with),
+                Err(_) => {}
             }
             actor.drive(context);
         }));
@@ -473,12 +470,8 @@ impl ReplicaActor {
         let AskService { sender, sequence, settled, since, task } = ask;
         if matches!(self.machine.role(), Role::Primary { epoch } if epoch < since) {
             // This process has not met the nodes that know of the later epoch.
-            return responder.give(Answered::Elsewhere { primary: None });
-        }
-        let mut request = Vec::new();
-        if codec::encode_bounded(&task, TASK_MAX, &mut request).is_err() {
-            let why = encode_kind(&DeliveryError::TooLarge { limit: TASK_MAX });
-            return responder.give(Answered::Refused { why });
+            let outcome = ServiceOutcome::Elsewhere(None).encode();
+            return responder.give(Answered { outcome, epoch: self.epoch() });
         }
         self.next_caller += 1;
         let until = responder.until();
@@ -488,7 +481,7 @@ impl ReplicaActor {
             id: MessageId { sender, sequence },
             settled,
             until,
-            request: request.into(),
+            request: task.into(),
         };
         self.machine.handle_request(asked, platform::now());
     }
@@ -527,22 +520,8 @@ impl MachineActor for ReplicaActor {
             ReplicaOutput::CheckDependencies => self.inquire(context),
             ReplicaOutput::Answer { caller, outcome } => {
                 if let Some(responder) = self.callers.remove(&caller) {
-                    responder.give(match outcome {
-                        ServiceOutcome::Served(Ok(reply)) => {
-                            Answered::Done { reply: reply.into(), epoch: self.epoch() }
-                        }
-                        ServiceOutcome::Served(Err(why)) => {
-                            let why = encode_kind(&why);
-                            Answered::Failed { why, epoch: self.epoch() }
-                        }
-                        ServiceOutcome::Refused(why) => {
-                            Answered::Refused { why: encode_kind(&why) }
-                        }
-                        ServiceOutcome::Elsewhere(primary) => {
-                            let primary = primary.map(|node| node.to_string());
-                            Answered::Elsewhere { primary }
-                        }
-                    });
+                    let epoch = self.epoch();
+                    responder.give(Answered { outcome: outcome.encode(), epoch });
                 }
             }
         }
@@ -564,7 +543,7 @@ impl Actor for ReplicaActor {
 impl Supervised for ReplicaActor {
     /// The replica has lost its state, and comes into step like one whose process restarted.
     fn restarting(&mut self, context: &mut Context<Self>) {
-        self.machine = self.machine.restarted(platform::now());
+        self.machine = self.machine.restarted(self.carried.initial.clone(), platform::now());
         // The component still runs, but its state no longer has a position.
         self.machine.handle_component_died(platform::now());
         self.polls_component = false;
@@ -653,10 +632,6 @@ fn undecodable(error: codec::DecodeError) -> DeliveryError {
     DeliveryError::Undecodable { reason: error.to_string() }
 }
 
-fn reply_of<M: Request>(reply: Result<Bytes, DeliveryError>) -> Result<M::Reply, DeliveryError> {
-    codec::decode_reply::<M>(&reply?).map_err(undecodable)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -705,7 +680,6 @@ mod tests {
             inquiry: None,
             next_caller: 0,
             polls_component: false,
-            others: SortedMap::new(),
         })
     }
 

@@ -4,7 +4,7 @@ use blastema_macros::{Event, Request, Structure};
 
 /// A message from one replica to another. The machine encodes the bytes.
 #[derive(Clone, Debug, Event)]
-#[contract(crate = "crate", name = "blastema/replica", version = 2, max_size = 5 * 1024 * 1024)]
+#[contract(crate = "crate", name = "blastema/replica", version = 3, max_size = 5 * 1024 * 1024)]
 pub(crate) struct ReplicaMessage {
     pub(crate) from: String,
     pub(crate) message: Vec<u8>,
@@ -24,7 +24,7 @@ pub(crate) struct CompareConfiguration {
 #[contract(
     crate = "crate",
     name = "blastema/serve",
-    version = 2,
+    version = 3,
     reply = Answered,
     max_size = 2 * 1024 * 1024
 )]
@@ -36,8 +36,12 @@ pub(crate) struct AskService {
     pub(crate) settled: u64,
     /// A primary with a lower epoch refuses the request: another one has answered since.
     pub(crate) since: u64,
-    pub(crate) task: Task,
+    /// The encoded [`Task`].
+    pub(crate) task: Vec<u8>,
 }
+
+/// The most bytes of an encoded [`Task`], which fits into an [`AskService`].
+pub(crate) const TASK_MAX: usize = 2 * 1024 * 1024 - 1024;
 
 /// The encoded request, as replicas keep it.
 #[derive(Clone, Debug, Structure)]
@@ -48,21 +52,14 @@ pub(crate) struct Task {
     pub(crate) payload: Vec<u8>,
 }
 
-/// The result of a request.
+/// The answer to a request.
 #[derive(Clone, Debug, Structure)]
 #[contract(crate = "crate")]
-pub(crate) enum Answered {
-    Done {
-        reply: Vec<u8>,
-        /// The epoch in which it is answered.
-        epoch: u64,
-    },
-    /// It was executed, and failed.
-    Failed { why: Vec<u8>, epoch: u64 },
-    /// It was not accepted.
-    Refused { why: Vec<u8> },
-    /// Another node is primary, if there is one.
-    Elsewhere { primary: Option<String> },
+pub(crate) struct Answered {
+    /// The encoded `ServiceOutcome`.
+    pub(crate) outcome: Vec<u8>,
+    /// The epoch in which the replica serves, or the greatest one that it knows.
+    pub(crate) epoch: u64,
 }
 
 /// The question for the primary. A replica answers as soon as it knows of one.
@@ -88,33 +85,27 @@ pub(crate) struct Serving {
     pub(crate) disputed: Option<String>,
 }
 
-/// Asks the component for its state.
-#[derive(Clone, Copy, Debug, Request)]
-#[contract(
-    crate = "crate",
-    name = "blastema/save-state",
-    version = 1,
-    reply = Vec<u8>,
-    max_size = 4 * 1024 * 1024
-)]
-pub struct SaveState;
-
-/// Gives the component a state. The reply is whether it has loaded it.
+/// What a replica wants of its component. The reply to [`DriveComponent::Save`] is the state. There is
+/// no reply to [`DriveComponent::Load`] if the component cannot load the state.
 #[derive(Clone, Debug, Request)]
 #[contract(
     crate = "crate",
-    name = "blastema/load-state",
+    name = "blastema/drive-component",
     version = 1,
-    reply = bool,
+    reply = Option<Vec<u8>>,
     max_size = 4 * 1024 * 1024
 )]
-pub struct LoadState {
-    pub(crate) state: Vec<u8>,
-}
-
-/// Reports to the component that it serves from now on, or stands by.
-#[derive(Clone, Copy, Debug, Event)]
-#[contract(crate = "crate", name = "blastema/role", version = 1)]
-pub struct RoleChanged {
-    pub(crate) epoch: Option<u64>,
+pub enum DriveComponent {
+    /// Return the state.
+    Save,
+    /// Replace the state.
+    Load {
+        /// The state that another replica has saved.
+        state: Vec<u8>,
+    },
+    /// The component serves from now on, in this epoch, or stands by.
+    RoleChanged {
+        /// The epoch in which it serves.
+        epoch: Option<u64>,
+    },
 }

@@ -3,57 +3,37 @@
 use crate::hash;
 use serde::{Deserialize, Serialize};
 
-/// The change from one state to the next.
+/// The change from one state to the next: the bytes at the front and at the back stay, with others
+/// between them.
 ///
 /// If only a part in the middle differs, that part is sent: a counter in a long table, an appended
 /// item, a removed one. The component only has to save equal states as equal bytes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) enum Change {
-    /// The states are equal; the checksum is that of the state.
-    Same { checksum: u64 },
-    /// The bytes at the front and at the back stay, with other bytes between them. The checksum is
-    /// that of the later state.
-    Middle { front: u32, back: u32, between: Vec<u8>, checksum: u64 },
-    /// The whole state.
-    Whole(Vec<u8>),
+pub(super) struct Change {
+    front: usize,
+    back: usize,
+    between: Vec<u8>,
+    /// That of the later state.
+    checksum: u64,
 }
 
 impl Change {
-    pub(super) fn between(before: Option<&[u8]>, after: &[u8]) -> Self {
-        let Some(before) = before else { return Change::Whole(after.to_vec()) };
-        if before == after {
-            return Change::Same { checksum: checksum(after) };
-        }
+    pub(super) fn between(before: &[u8], after: &[u8]) -> Self {
         let same = |(a, b): &(&u8, &u8)| a == b;
         let front = before.iter().zip(after).take_while(same).count();
         // A byte that stays at the front is not counted at the back again.
         let shorter = before.len().min(after.len()) - front;
         let ends = before.iter().rev().zip(after.iter().rev());
         let back = ends.take(shorter).take_while(same).count();
-        match (u32::try_from(front), u32::try_from(back)) {
-            (Ok(front32), Ok(back32)) if front + back > 0 => {
-                let between = after[front..after.len() - back].to_vec();
-                Change::Middle { front: front32, back: back32, between, checksum: checksum(after) }
-            }
-            _ => Change::Whole(after.to_vec()),
-        }
+        let between = after[front..after.len() - back].to_vec();
+        Change { front, back, between, checksum: checksum(after) }
     }
 
     /// Returns the later state, or `None` if this is not a change of the earlier one.
-    pub(super) fn apply(self, before: Option<&[u8]>) -> Option<Vec<u8>> {
-        match self {
-            Change::Whole(after) => Some(after),
-            Change::Same { checksum: expected } => {
-                before.filter(|before| checksum(before) == expected).map(<[u8]>::to_vec)
-            }
-            Change::Middle { front, back, between, checksum: expected } => {
-                let (front, back) = (usize::try_from(front).ok()?, usize::try_from(back).ok()?);
-                let before = before?;
-                let kept = before.len().checked_sub(back).filter(|end| front <= *end)?;
-                let after = [&before[..front], &between, &before[kept..]].concat();
-                (checksum(&after) == expected).then_some(after)
-            }
-        }
+    pub(super) fn apply(&self, before: &[u8]) -> Option<Vec<u8>> {
+        let kept = before.len().checked_sub(self.back).filter(|end| self.front <= *end)?;
+        let after = [&before[..self.front], &self.between, &before[kept..]].concat();
+        (checksum(&after) == self.checksum).then_some(after)
     }
 }
 
@@ -77,8 +57,8 @@ mod tests {
             for other in 0..12 {
                 for _ in 0..20 {
                     let (before, after) = (state(length), state(other));
-                    let change = Change::between(Some(&before), &after);
-                    assert_eq!(change.apply(Some(&before)), Some(after));
+                    let change = Change::between(&before, &after);
+                    assert_eq!(change.apply(&before), Some(after));
                 }
             }
         }
@@ -91,24 +71,19 @@ mod tests {
         after[50_000] = 8;
         after.insert(50_001, 9);
 
-        let change = Change::between(Some(&before), &after);
+        let change = Change::between(&before, &after);
 
-        assert!(matches!(&change, Change::Middle { between, .. } if between.len() == 2));
-        let same = Change::between(Some(&before), &before);
-        assert!(matches!(same, Change::Same { .. }));
-        assert_eq!(Change::between(None, &before), Change::Whole(before));
+        assert_eq!(change.between.len(), 2);
+        assert_eq!(Change::between(&before, &before).between, [0; 0]);
     }
 
     #[test]
     fn a_change_of_another_state_is_refused() {
         let after = [vec![0; 5], vec![1], vec![0; 5]].concat();
-        let change = Change::between(Some(&[0; 10]), &after);
-        assert_eq!(change.clone().apply(Some(&[0; 9])), None);
-        assert_eq!(change.clone().apply(Some(&[2; 10])), None);
-        assert_eq!(change.clone().apply(None), None);
-        assert_eq!(change.apply(Some(&[0; 10])), Some(after.clone()));
-        let same = Change::between(Some(&after), &after);
-        assert_eq!(same.clone().apply(None), None);
-        assert_eq!(same.apply(Some(&[1; 11])), None);
+        let change = Change::between(&[0; 10], &after);
+        assert_eq!(change.apply(&[0; 9]), None);
+        assert_eq!(change.apply(&[2; 10]), None);
+        assert_eq!(change.apply(&[0; 10]), Some(after.clone()));
+        assert_eq!(Change::between(&after, &after).apply(&[1; 11]), None);
     }
 }

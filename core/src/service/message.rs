@@ -5,6 +5,9 @@ use super::table::Table;
 use crate::{DeliveryError, MessageId};
 use serde::{Deserialize, Serialize};
 
+/// The most bytes of one message between replicas: a state and the table of replies.
+pub const MESSAGE_MAX: usize = 4 * 1024 * 1024;
+
 /// A replica's position in the log: the epoch and the index of its last entry.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub(super) struct Position {

@@ -38,7 +38,8 @@ mod table;
 mod types;
 mod view;
 
-pub use replica::{MESSAGE_MAX, QUEUE_MAX, Replica, STATE_MAX};
+pub use message::MESSAGE_MAX;
+pub use replica::{QUEUE_MAX, Replica, STATE_MAX};
 pub use table::TABLE_MAX;
 pub use types::{ReplicaOutput, Role, ServiceOutcome, ServiceRequest};
 pub use view::{ServiceState, ServiceView};
@@ -82,9 +83,9 @@ pub enum OnPartition {
     Continue,
 }
 
-/// The most nodes that carry one service: as many as one network has. Each heartbeat is one message
-/// to each of them.
-pub const MEMBERS_MAX: usize = 256;
+/// The most nodes that carry one service: three may fail. Each reply waits for a majority, so that more
+/// nodes make a service slower and not safer.
+pub const MEMBERS_MAX: usize = 7;
 /// The shortest interval of heartbeats: a shorter one is less than the delay of timers and of the
 /// scheduler.
 pub const HEARTBEAT_MIN: Duration = Duration::from_millis(1);

@@ -9,8 +9,8 @@ mod tests;
 
 use super::change::Change;
 use super::message::{
-    EntryPayload, LeasePromise, LogEntry, Message, Position, ReplicaHeartbeat, Served, Snapshot,
-    StandbyStatus, Vote, VoteRequest,
+    EntryPayload, LeasePromise, LogEntry, MESSAGE_MAX, Message, Position, ReplicaHeartbeat, Served,
+    Snapshot, StandbyStatus, Vote, VoteRequest,
 };
 use super::table::Table;
 use super::types::{ReplicaOutput, Role, ServiceOutcome, ServiceRequest};
@@ -30,8 +30,6 @@ use std::collections::VecDeque;
 pub const QUEUE_MAX: usize = 256;
 /// The most bytes of a component's state. A larger one is not kept for the standbys.
 pub const STATE_MAX: usize = 3 * 1024 * 1024;
-/// The most bytes of one message between replicas: a state and the table of replies.
-pub const MESSAGE_MAX: usize = 4 * 1024 * 1024;
 
 /// One job of the component. It has one at a time.
 #[derive(Clone, Debug)]
@@ -70,20 +68,12 @@ pub struct Replica {
 /// The end of the log of requests.
 #[derive(Debug)]
 struct ReplicaLog {
-    /// The state that the component was built with.
-    initial: Bytes,
     position: Position,
     /// The last position whose reply was sent by any primary, as far as this replica knows.
     answered: Position,
-    /// The newest state, if standbys are warm.
-    state: Option<Bytes>,
+    /// The newest state if standbys are warm, or else the one that the component was built with.
+    state: Bytes,
     table: Table,
-}
-
-impl ReplicaLog {
-    fn last_state(&self) -> Bytes {
-        self.state.clone().unwrap_or_else(|| self.initial.clone())
-    }
 }
 
 /// The component and its jobs.
@@ -144,10 +134,9 @@ impl Replica {
     pub fn new(config: ReplicaConfig, initial: Bytes, now: Instant) -> Self {
         let standby = Standby::starting(&config, now);
         let log = ReplicaLog {
-            initial,
             position: Position::default(),
             answered: Position::default(),
-            state: None,
+            state: initial,
             table: Table::default(),
         };
         let component = ReplicaComponent {
@@ -178,7 +167,7 @@ impl Replica {
         };
         // Cold standbys keep no state.
         if replica.config.kind != StandbyKind::Cold
-            && let Err(why) = within_bounds(Ok(replica.log.initial.clone()))
+            && let Err(why) = within_bounds(Ok(replica.log.state.clone()))
         {
             replica.refuse_state(&why);
         }
@@ -249,7 +238,7 @@ impl Replica {
         match served {
             Some(served) => {
                 self.log.answered = self.log.answered.max(primary.released);
-                self.answer(caller, ServiceOutcome::Served(served.result.map(Bytes::from)));
+                self.answer(caller, ServiceOutcome::Served(served.result));
             }
             None if primary.waiting.len() >= QUEUE_MAX => {
                 self.answer(caller, ServiceOutcome::Refused(DeliveryError::Full));
@@ -319,7 +308,7 @@ impl Replica {
             }
             (Ok(_), Some(Err(why))) => {
                 self.refuse_state(&why);
-                let state = self.log.last_state();
+                let state = self.log.state.clone();
                 self.component.jobs.push_front(Job::Load { state });
                 (Err(why), None)
             }
@@ -485,14 +474,9 @@ impl Replica {
             return;
         };
         self.note_comparison(from, comparison);
-        match other_goes_on {
+        if other_goes_on {
             // Its standbys keep their promises: a lease's time to meet that node as well.
-            Some(true) => self.step_down(None, now),
-            // That node resigns when it learns that this one serves.
-            Some(false) if matches!(self.role, RoleState::Primary(_)) => {
-                self.agreement.ask_again(from);
-            }
-            Some(false) | None => {}
+            self.step_down(None, now);
         }
     }
 
@@ -503,21 +487,16 @@ impl Replica {
         self.note_comparison(of, ConfigComparison::Absent { confirmed });
     }
 
-    /// A node did not answer: it is asked again at the next poll of the directory.
-    pub fn handle_no_answer(&mut self, of: &NodeName) {
-        self.agreement.ask_again(of);
-    }
-
     /// A node has ended in order.
     pub fn handle_left(&mut self, node: &NodeName) {
         self.note_comparison(node, ConfigComparison::Unknown);
     }
 
     /// Returns a replica that starts with what this one knows of the others, after its actor has
-    /// failed.
+    /// failed. `initial` is as in [`Replica::new`].
     #[must_use]
-    pub fn restarted(&self, now: Instant) -> Self {
-        let mut next = Replica::new(self.config.clone(), self.log.initial.clone(), now);
+    pub fn restarted(&self, initial: Bytes, now: Instant) -> Self {
+        let mut next = Replica::new(self.config.clone(), initial, now);
         next.agreement = self.agreement.clone();
         next.log.answered = self.log.answered;
         // The new replica finds again what is still wrong.
@@ -561,7 +540,7 @@ impl Replica {
             }
             (RoleState::Primary(_), StandbyKind::Warm) => {
                 self.component.discard();
-                let state = self.log.last_state();
+                let state = self.log.state.clone();
                 self.component.jobs.push_front(Job::Load { state });
                 self.start_next_job();
             }
@@ -695,26 +674,7 @@ impl Replica {
         }
         self.log.position = Position::default();
         self.log.table.clear();
-        self.log.state = None;
         is_inactive.then(|| now + self.config.state_timeout())
-    }
-
-    /// The last message to this node was sent, or was refused because this node isolates it.
-    pub fn handle_sent(&mut self, to: &NodeName, isolated: bool) {
-        if !isolated {
-            self.outage.isolated.remove(to);
-        } else if self.config.members.contains(to) {
-            self.outage.isolated.insert(to.clone());
-        }
-    }
-
-    /// Declares that the service has no primary, or updates the causes, if that is due.
-    fn report_outage(&mut self, now: Instant) {
-        if self.outage.due(&self.config).is_some_and(|due| now >= due) {
-            self.outage.described_at = Some(now);
-            let detail = self.outage.describe(self, now);
-            self.set_fault(FaultKind::ServiceUnavailable, Some(detail));
-        }
     }
 
     fn note_epoch(&mut self, epoch: u64) {

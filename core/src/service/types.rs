@@ -1,7 +1,10 @@
 //! The inputs, roles and outputs of a replica.
 
+use super::message::MESSAGE_MAX;
+use crate::contract::codec::{self, DecodeError};
 use crate::{DeliveryError, FaultKind, Instant, MessageId, NodeName};
 use bytes::Bytes;
+use serde::{Deserialize, Serialize};
 
 /// A replica's role in its service.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -37,14 +40,29 @@ pub struct ServiceRequest {
 }
 
 /// The result of a request.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ServiceOutcome {
     /// It was served, or failed for good; the same request is never executed again.
-    Served(Result<Bytes, DeliveryError>),
+    Served(Result<Vec<u8>, DeliveryError>),
     /// It was not accepted.
     Refused(DeliveryError),
     /// This replica is not the primary: this node is, if one is known.
     Elsewhere(Option<NodeName>),
+}
+
+impl ServiceOutcome {
+    /// Returns the bytes by which a caller on another node is answered.
+    pub fn encode(&self) -> Vec<u8> {
+        codec::encode_unbounded(self)
+    }
+
+    /// Reads what [`encode`](Self::encode) wrote.
+    ///
+    /// # Errors
+    /// The bytes are no result of a request.
+    pub fn decode(bytes: &[u8]) -> Result<Self, DecodeError> {
+        codec::decode_bounded::<Self, MESSAGE_MAX>(bytes)
+    }
 }
 
 /// An action that a replica requires of its actor.
@@ -94,7 +112,7 @@ pub enum ReplicaOutput {
     /// Ask a node for its configuration of the service, and report the answer by
     /// [`Replica::handle_configuration`](super::Replica::handle_configuration),
     /// [`Replica::handle_no_service`](super::Replica::handle_no_service) or
-    /// [`Replica::handle_left`](super::Replica::handle_left).
+    /// [`Replica::handle_left`](super::Replica::handle_left); without one it is asked again.
     Compare {
         /// The node to ask.
         with: NodeName,

@@ -13,7 +13,7 @@ use crate::node::error::StartError;
 use crate::node::network::description::NetworkDescription;
 use crate::node::network::{Cable, NetworkRow};
 use crate::platform::own_arbiter;
-use crate::service::{Carried, ReplicaActor, ServiceSpecError};
+use crate::service::{Carried, ReplicaActor, ServiceRefused};
 use actix::prelude::*;
 use blastema_contract::monitor::{NodeReported, Register};
 use blastema_contract::notifier::AddPort;
@@ -138,7 +138,7 @@ impl NodeAssembly {
 
     pub(super) fn carry_services(
         &mut self,
-        services: Vec<Result<Carried, ServiceSpecError>>,
+        services: Vec<Result<Carried, ServiceRefused>>,
     ) -> Result<(), StartError> {
         let services: Vec<_> = services.into_iter().collect::<Result<_, _>>()?;
         for carried in services {

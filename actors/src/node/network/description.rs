@@ -3,11 +3,11 @@
 use super::Network;
 use super::checks::{check_files, check_networks};
 use super::hosts::Hosts;
-use super::services::{check_service, check_service_order};
+use super::services::check_service_order;
 use crate::net::keys::{KeysPermissions, NodeKeys};
 use crate::node::error::StartError;
 use crate::platform;
-use crate::service::{Carried, ServiceSpecError};
+use crate::service::{Carried, ServiceRefused};
 use crate::settings::network::SESSION_TIMEOUT;
 use blastema_core::sorted::SortedSet;
 use blastema_core::suggestion::nearest;
@@ -21,7 +21,7 @@ use std::time::Duration;
 pub(in crate::node) struct NetworkDescription {
     pub(in crate::node) networks: Vec<Network>,
     pub(in crate::node) hosts: Hosts,
-    pub(in crate::node) services: Vec<Result<Carried, ServiceSpecError>>,
+    pub(in crate::node) services: Vec<Result<Carried, ServiceRefused>>,
     pub(in crate::node) session_timeout: Duration,
     /// Nodes whose absence is no fault.
     pub(in crate::node) may_be_away: Vec<String>,
@@ -60,7 +60,6 @@ impl NetworkDescription {
         let services = self.services.iter().map(|service| service.as_ref().map_err(Clone::clone));
         let services: Result<Vec<&Carried>, _> = services.collect();
         let services = services.map_err(StartError::from)?;
-        services.iter().try_for_each(|service| check_service(service))?;
         check_service_order(&services)?;
         check_networks(&self.networks, node, self.keys.as_deref())?;
         match self.hosts {

@@ -67,7 +67,7 @@ pub(in crate::net) fn needs(contract: &str) -> BindingNeeds {
         }
         Some("recover") => BindingNeeds::RightAtNode(Verb::Recover),
         // What a replica says to the component of its own node.
-        Some("save-state" | "load-state" | "role") => BindingNeeds::OwnNode,
+        Some("drive-component") => BindingNeeds::OwnNode,
         Some(_) => BindingNeeds::Membership,
     }
 }
@@ -354,7 +354,7 @@ mod tests {
         assert_eq!(needs("arm/move"), BindingNeeds::AskOrTell);
         assert_eq!(needs("blastema/command"), BindingNeeds::Nothing);
         assert_eq!(needs("blastema/replica"), BindingNeeds::Right(Verb::Claim));
-        assert_eq!(needs("blastema/load-state"), BindingNeeds::OwnNode);
+        assert_eq!(needs("blastema/drive-component"), BindingNeeds::OwnNode);
         assert_eq!(needs("blastema/recover"), BindingNeeds::RightAtNode(Verb::Recover));
         assert_eq!(needs("blastema/await-end"), BindingNeeds::Membership);
     }

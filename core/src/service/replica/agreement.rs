@@ -27,22 +27,16 @@ use super::super::configuration::{CONFIGURATION_BYTES_MAX, ServiceConfiguration}
 use super::*;
 use std::time::Duration;
 
-/// The interval at which a node is asked again that has not answered, or serves beside this one. A
-/// shorter one finds differences sooner. Each question is a small message, and none without a path.
-const COMPARE_RETRY: Duration = Duration::from_millis(500);
-/// The interval for a node whose configuration differs. When it restarts, it sends its configuration
-/// by itself. A shorter one would load slow lines.
-const COMPARE_INTERVAL: Duration = Duration::from_secs(5);
-/// The most nodes, beside the members, whose configurations are kept: far more than carry one
-/// service.
-const REPLICAS_MAX: usize = 1024;
-/// The most bytes of the text of one difference: all of it, unless names are very long.
-const DIFFERENCE_MAX: usize = 1024;
+/// The interval at which a node is asked again that does not agree. A shorter one finds differences
+/// sooner. Each question is a small message, and none without a path.
+const COMPARE_INTERVAL: Duration = Duration::from_millis(500);
+/// The most nodes, beside the members, whose configurations are kept: as many as one network has.
+const REPLICAS_MAX: usize = 256;
 /// The most bytes of an answer: a configuration, and whether its node serves.
 const ANSWER_BYTES_MAX: usize = CONFIGURATION_BYTES_MAX + 32;
-/// The most nodes that a text names. The correction for the first ones applies to all, and callers
-/// on other nodes receive the text in one small message.
-const NAMED_MAX: usize = 8;
+/// The most differences that a text has. The correction for the first ones applies to all, and
+/// callers on other nodes receive the text in one small message.
+pub(super) const NAMED_MAX: usize = 8;
 
 /// The poll of the directory after which a replica that needs no vote waits for no answer any more.
 /// The first poll is at the start, when no node is connected; the second one asks those in sight.
@@ -95,21 +89,20 @@ impl ConfigAgreement {
         codec::encode_unbounded(&(self.configuration.encode(), serves)).into()
     }
 
-    /// Compares the configuration that another node sent. Returns the result, and, if that node
-    /// serves with another configuration, whether it goes on where this one serves as well.
+    /// Compares the configuration that another node sent. Returns the result, and whether that node
+    /// serves with another configuration, and goes on if this one serves as well.
     pub(super) fn compare(
         &self,
         from: &NodeName,
         bytes: &[u8],
-    ) -> Option<(ConfigComparison, Option<bool>)> {
+    ) -> Option<(ConfigComparison, bool)> {
         let (theirs, serves) =
             codec::decode_bounded::<(Vec<u8>, bool), ANSWER_BYTES_MAX>(bytes).ok()?;
         let theirs = ServiceConfiguration::decode(&theirs)?;
         Some(match self.configuration.difference(from, &theirs) {
-            same if same.is_empty() => (ConfigComparison::Agrees, None),
+            same if same.is_empty() => (ConfigComparison::Agrees, false),
             text => {
-                let other_goes_on = serves.then(|| theirs.leads(&self.configuration));
-                (ConfigComparison::Differs { text: cut(text) }, other_goes_on)
+                (ConfigComparison::Differs { text }, serves && theirs.leads(&self.configuration))
             }
         })
     }
@@ -143,28 +136,11 @@ impl ConfigAgreement {
         }
     }
 
-    /// Asks this node at the next poll of the directory.
-    pub(super) fn ask_again(&mut self, node: &NodeName) {
-        if let Some(known) = self.known.get_mut(node) {
-            known.asked_at = None;
-        }
-    }
-
     /// Returns whether this node is to be asked for its configuration now.
     pub(super) fn is_due(&mut self, node: &NodeName, now: Instant) -> bool {
         let Some(known) = self.known.get_mut(node) else { return false };
-        let interval = match known.comparison {
-            ConfigComparison::Agrees => return false,
-            ConfigComparison::Unknown | ConfigComparison::Absent { confirmed: false } => {
-                COMPARE_RETRY
-            }
-            // It may have left.
-            ConfigComparison::Differs { .. } if !known.seen => COMPARE_RETRY,
-            ConfigComparison::Absent { confirmed: true } | ConfigComparison::Differs { .. } => {
-                COMPARE_INTERVAL
-            }
-        };
-        let due = known.asked_at.is_none_or(|asked| now - asked >= interval);
+        let due = known.comparison != ConfigComparison::Agrees
+            && known.asked_at.is_none_or(|asked| now - asked >= COMPARE_INTERVAL);
         if due {
             known.asked_at = Some(now);
         }
@@ -193,47 +169,45 @@ impl ConfigAgreement {
     /// Returns how the configurations differ: first those of members, which certainly belong to the
     /// service.
     pub(super) fn differences(&self) -> Option<String> {
-        let (mut members, mut others) = (Vec::new(), Vec::new());
-        for (node, known) in &self.known {
-            if let ConfigComparison::Differs { text } = &known.comparison {
-                let texts = if self.configuration.lists(node) { &mut members } else { &mut others };
-                texts.push(text.as_str());
+        let differing = self.known.iter().filter_map(|(node, known)| match &known.comparison {
+            ConfigComparison::Differs { text } => {
+                Some((!self.configuration.lists(node), text.as_str()))
             }
-        }
-        members.append(&mut others);
-        (!members.is_empty()).then(|| {
+            _ => None,
+        });
+        let mut differing: Vec<_> = differing.collect();
+        differing.sort_by_key(|(is_stranger, _)| *is_stranger);
+        let texts: Vec<_> = differing.iter().take(NAMED_MAX).map(|(_, text)| *text).collect();
+        (!texts.is_empty()).then(|| {
             format!(
                 "not all nodes have the same configuration of it, and no further node begins to serve until they \
                  have: {}",
-                some_of(&members, "; ")
+                texts.join("; ")
             )
         })
     }
 
     /// Returns the detail of the fault: the differences, and the members without the service.
     pub(super) fn describe(&self) -> Option<String> {
-        let absent = self.known.iter().filter(|(node, known)| self.is_absent(node, known));
+        let is_absent = |(node, known): &(&NodeName, &KnownReplica)| {
+            known.comparison == ConfigComparison::Absent { confirmed: true }
+                && self.configuration.lists(node)
+        };
+        let absent = self.known.iter().filter(is_absent);
         let absent: Vec<_> = absent.map(|(node, _)| node.as_str()).collect();
         let absent = (!absent.is_empty()).then(|| {
             format!(
                 "listed, but without this service: {}; add the service there, or remove the node from all lists: \
                  it counts as one that has failed",
-                some_of(&absent, ", ")
+                absent.join(", ")
             )
         });
         let texts: Vec<_> = self.differences().into_iter().chain(absent).collect();
         (!texts.is_empty()).then(|| texts.join("; "))
     }
 
-    /// Returns whether this is a member that does not carry the service.
-    pub(super) fn is_absent(&self, node: &NodeName, known: &KnownReplica) -> bool {
-        known.comparison == ConfigComparison::Absent { confirmed: true }
-            && self.configuration.lists(node)
-    }
-
     /// Returns the record of this node, unless there are too many.
     pub(super) fn record(&mut self, node: &NodeName) -> Option<&mut KnownReplica> {
-        // A configuration fits into one message, which bounds the number of members.
         let has_capacity = self.known.len() < REPLICAS_MAX
             || self.known.contains_key(node)
             || self.configuration.lists(node);
@@ -247,27 +221,8 @@ impl KnownReplica {
     }
 }
 
-/// Returns the first texts, and how many more there are.
-pub(super) fn some_of(texts: &[&str], separator: &str) -> String {
-    let named = texts[..texts.len().min(NAMED_MAX)].join(separator);
-    match texts.len().saturating_sub(NAMED_MAX) {
-        0 => named,
-        more => format!("{named}{separator}and {more} more"),
-    }
-}
-
 /// Returns a text for each list of nodes that is not empty: what is wrong with them, and what helps.
 pub(super) fn describe_lists<const N: usize>(lists: [(&str, Vec<&str>, &str); N]) -> Vec<String> {
     let lists = lists.into_iter().filter(|(_, nodes, _)| !nodes.is_empty());
-    lists.map(|(what, nodes, help)| format!("{what}: {} ({help})", some_of(&nodes, ", "))).collect()
-}
-
-/// Returns the text, cut at [`DIFFERENCE_MAX`] bytes.
-fn cut(mut text: String) -> String {
-    if text.len() > DIFFERENCE_MAX {
-        let end = (0..=DIFFERENCE_MAX).rev().find(|end| text.is_char_boundary(*end));
-        text.truncate(end.unwrap_or(0));
-        text.push('…');
-    }
-    text
+    lists.map(|(what, nodes, help)| format!("{what}: {} ({help})", nodes.join(", "))).collect()
 }

@@ -10,9 +10,8 @@
 //! Each member reports what it knows itself, also in one part of a divided robot. The detail is
 //! updated when the causes change, at most once per takeover time.
 
-use super::agreement::{describe_lists, some_of};
+use super::agreement::{NAMED_MAX, describe_lists};
 use super::*;
-use crate::sorted::SortedSet;
 use std::time::Duration;
 
 /// The least time without a primary that is a fault: a shorter one is over before an operator can
@@ -41,10 +40,6 @@ pub(super) struct Outage {
     pub(super) served: bool,
     /// When the causes were last described.
     pub(super) described_at: Option<Instant>,
-    /// The members that did not vote for this replica in its last election.
-    pub(super) unwilling: Vec<NodeName>,
-    /// The members that this node isolated when a message to them was last refused.
-    pub(super) isolated: SortedSet<NodeName>,
 }
 
 impl Outage {
@@ -57,94 +52,81 @@ impl Outage {
             None => since + config.takeover().max(START_GRACE),
         })
     }
+}
 
-    /// Returns why this replica knows of no primary.
-    pub(super) fn describe(&self, replica: &Replica, now: Instant) -> String {
-        let RoleState::Standby(standby) = &replica.role else { return String::new() };
-        let Replica { config, agreement, .. } = replica;
+impl Replica {
+    /// Declares that the service has no primary, or updates the causes, if that is due.
+    pub(super) fn report_outage(&mut self, now: Instant) {
+        if self.outage.due(&self.config).is_some_and(|due| now >= due) {
+            self.outage.described_at = Some(now);
+            let detail = format!("no primary is known here: {}", self.outage_causes(now));
+            self.set_fault(FaultKind::ServiceUnavailable, Some(detail));
+        }
+    }
+
+    fn outage_causes(&self, now: Instant) -> String {
         let mut causes = Vec::new();
-        if replica.component.health == Health::Inactive {
+        if self.component.health == Health::Inactive {
             causes.push(
                 "its component here accepts no jobs, as it is stopped or isolated, or its node is at rest (bring it \
                  back)"
                     .to_owned(),
             );
         }
-        let isolated = &self.isolated;
-        let (mut available, mut unreachable, mut without_service) = (1, vec![], vec![]);
-        for member in config.members.iter().filter(|member| **member != config.own) {
-            match agreement.known.get(member) {
-                Some(known) if known.differs() => {}
-                Some(known) if agreement.is_absent(member, known) => {
-                    without_service.push(member.as_str());
-                }
-                Some(known) if known.seen => available += 1,
-                _ if isolated.contains(member) => {}
-                _ => unreachable.push(member.as_str()),
+        let (mut available, mut differing, mut unreachable, mut absent) =
+            (1, vec![], vec![], vec![]);
+        for (node, known) in &self.agreement.known {
+            let is_member = self.config.members.contains(node);
+            match known.comparison {
+                ConfigComparison::Differs { .. } => differing.push(node.as_str()),
+                _ if !is_member => {}
+                ConfigComparison::Absent { confirmed: true } => absent.push(node.as_str()),
+                _ if known.seen => available += 1,
+                _ => unreachable.push(node.as_str()),
             }
         }
-        let known = agreement.known.iter();
-        let differing: Vec<_> =
-            known.filter(|(_, known)| known.differs()).map(|(node, _)| node.as_str()).collect();
-        if !differing.is_empty() {
-            causes.push(format!(
-                "not all nodes have the same configuration of it; it differs on {} (the fault contract \
-                 mismatch, B10, says what to write)",
-                some_of(&differing, ", ")
-            ));
-        }
-        if !isolated.is_empty() {
-            let nodes: Vec<_> = isolated.iter().map(NodeName::as_str).collect();
-            causes.push(format!(
-                "isolated here: {} (admit those that work again)",
-                some_of(&nodes, ", ")
-            ));
-        }
-        let (members, majority) = (config.members.len(), config.majority());
-        if config.on_partition == OnPartition::Stop && available < majority {
-            let missing = [
-                ("not reachable", unreachable, "start them, or repair the path to them"),
-                (
-                    "without this service",
-                    without_service,
-                    "add the service there, or remove them from all lists",
-                ),
-            ];
+        differing.truncate(NAMED_MAX);
+        causes.extend(describe_lists([(
+            "nodes with another configuration of it",
+            differing,
+            "the fault contract mismatch, B10, says what to write",
+        )]));
+        let (members, majority) = (self.config.members.len(), self.config.majority());
+        if self.config.on_partition == OnPartition::Stop && available < majority {
             causes.push(format!(
                 "there is no majority: it needs {majority} of its {members} nodes, and has {available}"
             ));
-            causes.extend(describe_lists(missing));
+            causes.extend(describe_lists([
+                (
+                    "not reachable",
+                    unreachable,
+                    "start them, repair the path to them, or admit them if they are isolated here",
+                ),
+                ("without this service", absent, "add it there, or remove them from all lists"),
+            ]));
         }
-        // An isolated node does not explain why the others have elected no primary.
-        if causes.len() == usize::from(!isolated.is_empty()) {
-            causes.push(self.describe_election(replica, standby, now));
+        if causes.is_empty() {
+            causes.push(self.describe_election(now));
         }
-        format!("no primary is known here: {}", causes.join("; "))
+        causes.join("; ")
     }
 
     /// Returns why the reachable members have elected no primary.
-    fn describe_election(&self, replica: &Replica, standby: &Standby, now: Instant) -> String {
-        if standby.checking_dependencies {
-            return "it waits for the services that it depends on, which have no primary either (see their faults)"
-                .to_owned();
-        }
-        let timeout = replica.config.state_timeout();
-        if replica.waiting_since().is_some_and(|since| now < since + timeout) {
-            let seconds = timeout.as_secs_f64();
-            return format!(
-                "this node lacks the state, and waits {seconds:.1} s for a node that has it before it starts without it"
-            );
-        }
-        let Outage { unwilling, isolated, .. } = self;
-        let unwilling = unwilling.iter().filter(|node| !isolated.contains(*node));
-        let unwilling: Vec<_> = unwilling.map(NodeName::as_str).collect();
-        match unwilling.is_empty() {
-            true => "its nodes have not elected a primary yet".to_owned(),
-            false => format!(
-                "this node stood for election without the votes of {} (their components may be at rest, they may know \
-                 of a newer state, or their messages may take longer than the heartbeat interval, {:?})",
-                some_of(&unwilling, ", "),
-                replica.config.heartbeat_interval
+    fn describe_election(&self, now: Instant) -> String {
+        let timeout = self.config.state_timeout();
+        match &self.role {
+            RoleState::Standby(Standby { checking_dependencies: true, .. }) => {
+                "it waits for the services that it depends on, which have no primary either (see their faults)"
+                    .to_owned()
+            }
+            _ if self.waiting_since().is_some_and(|since| now < since + timeout) => format!(
+                "this node lacks the state, and waits {:.1} s for a node that has it before it starts without it",
+                timeout.as_secs_f64()
+            ),
+            _ => format!(
+                "its nodes have not elected a primary yet (their components may be at rest, they may know of a newer \
+                 state, or their messages may take longer than the heartbeat interval, {:?})",
+                self.config.heartbeat_interval
             ),
         }
     }

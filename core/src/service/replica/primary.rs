@@ -12,7 +12,7 @@
 //! a failure, a primary that starts without the state declares that it is lost: each replica keeps
 //! the last position whose reply was sent, and sends it with its vote.
 
-use super::agreement::{describe_lists, some_of};
+use super::agreement::describe_lists;
 use super::*;
 
 /// The state of a replica that serves.
@@ -139,7 +139,7 @@ impl Primary {
             false => format!(
                 "of its standbys only {} hold its state, with this node fewer than a majority: further \
                  failures now lose it",
-                some_of(&holding, ", ")
+                holding.join(", ")
             ),
         };
         let lists = [
@@ -174,22 +174,13 @@ impl Replica {
         self.role = RoleState::Primary(primary);
         self.note_epoch(epoch);
         self.report_role();
-        match self.config.kind {
-            StandbyKind::Cold => {
-                self.log.table.clear();
-                self.component.jobs.push_back(Job::Load { state: self.log.initial.clone() });
-            }
-            StandbyKind::Warm => {
-                let state = self.log.last_state();
-                self.component.jobs.push_back(Job::Load { state });
-            }
-            StandbyKind::Hot => {
-                // The component has executed all requests, or they are among its jobs. A component
-                // without the state starts as it was built.
-                if self.component.health == Health::Stateless {
-                    self.component.jobs.push_back(Job::Load { state: self.log.initial.clone() });
-                }
-            }
+        if self.config.kind == StandbyKind::Cold {
+            self.log.table.clear();
+        }
+        // A hot component has executed all requests, or they are among its jobs. One without the
+        // state starts as it was built.
+        if self.config.kind != StandbyKind::Hot || self.component.health == Health::Stateless {
+            self.component.jobs.push_back(Job::Load { state: self.log.state.clone() });
         }
         self.component.health = Health::Complete;
         self.start_next_job();
@@ -250,17 +241,22 @@ impl Replica {
         if follower.catch_up == CatchUp::InStep && primary.held_replies.front().is_some_and(waits) {
             follower.catch_up = CatchUp::Behind;
         }
-        if follower.catch_up == CatchUp::Behind && self.config.kind != StandbyKind::Cold {
-            let mut jobs = self.component.jobs.iter().chain(&self.component.current);
-            if !jobs.any(|job| matches!(job, Job::Save)) {
-                self.component.jobs.push_back(Job::Save);
+        let is_behind = follower.catch_up == CatchUp::Behind;
+        match self.config.kind {
+            StandbyKind::Warm if is_behind => self.send_snapshots(&self.log.state.clone(), now),
+            StandbyKind::Hot if is_behind => {
+                let mut jobs = self.component.jobs.iter().chain(&self.component.current);
+                if !jobs.any(|job| matches!(job, Job::Save)) {
+                    self.component.jobs.push_back(Job::Save);
+                }
             }
+            _ => {}
         }
         self.start_next_job();
         self.release(now);
     }
 
-    /// Sends the component's state to all followers that are behind.
+    /// Sends the state to all followers that are behind.
     pub(super) fn send_snapshots(&mut self, state: &Bytes, now: Instant) {
         let RoleState::Primary(primary) = &mut self.role else { return };
         let (epoch, position) = (primary.epoch, self.log.position);
@@ -273,9 +269,7 @@ impl Replica {
                 recipients.push(node.clone());
             }
         }
-        // Later entries are changes of the last state that was kept.
-        let kept = self.log.state.as_ref().filter(|_| self.config.kind == StandbyKind::Warm);
-        let (state, table) = (kept.unwrap_or(state).to_vec(), self.log.table.clone());
+        let (state, table) = (state.to_vec(), self.log.table.clone());
         let snapshot = Message::Snapshot(Snapshot { epoch, position, state, table });
         recipients.iter().for_each(|node| self.send(node, &snapshot));
     }
@@ -309,8 +303,8 @@ impl Replica {
         if self.config.kind != StandbyKind::Cold {
             let payload = match (self.config.kind, state) {
                 (StandbyKind::Warm, Some(state)) => {
-                    let change = Change::between(self.log.state.as_deref(), &state);
-                    self.log.state = Some(state);
+                    let change = Change::between(&self.log.state, &state);
+                    self.log.state = state;
                     EntryPayload::State(change)
                 }
                 (StandbyKind::Hot, _) if !failed => EntryPayload::Request(request.into()),
@@ -355,7 +349,7 @@ impl Replica {
         }
         for (caller, id) in answers {
             let outcome = match self.log.table.find(id) {
-                Some(served) => ServiceOutcome::Served(served.result.clone().map(Bytes::from)),
+                Some(served) => ServiceOutcome::Served(served.result.clone()),
                 // The caller has abandoned the request.
                 None => ServiceOutcome::Refused(DeliveryError::Expired),
             };

@@ -161,11 +161,6 @@ impl Replica {
             return self.report_role();
         }
         standby.checking_dependencies = false;
-        if let Some(before) = &standby.candidacy {
-            let others = self.config.members.iter().filter(|member| **member != self.config.own);
-            let unwilling = others.filter(|member| !before.votes.contains_key(*member));
-            self.outage.unwilling = unwilling.cloned().collect();
-        }
         self.report_role();
         let epoch = self.epoch.max(self.used_epoch).saturating_add(1);
         self.used_epoch = epoch;
@@ -265,7 +260,9 @@ impl Replica {
             return;
         }
         self.log.position.number += 1;
-        self.log.state = state.or(self.log.state.take());
+        if let Some(state) = state {
+            self.log.state = state;
+        }
         self.log.table.note(Served { id, result: result.map(Vec::from) });
     }
 
@@ -308,8 +305,8 @@ impl Replica {
             return self.report_role();
         }
         match payload {
-            EntryPayload::State(change) => match change.apply(self.log.state.as_deref()) {
-                Some(state) => self.log.state = Some(state.into()),
+            EntryPayload::State(change) => match change.apply(&self.log.state) {
+                Some(state) => self.log.state = state.into(),
                 // The state is not the one that the primary made the change for.
                 None => {
                     standby.fall_behind();
@@ -352,7 +349,7 @@ impl Replica {
                 self.component.jobs.clear();
                 self.component.jobs.push_back(Job::Load { state: state.into() });
             }
-            StandbyKind::Warm | StandbyKind::Cold => self.log.state = Some(state.into()),
+            StandbyKind::Warm | StandbyKind::Cold => self.log.state = state.into(),
         }
         self.start_next_job();
         self.confirm(from, epoch);

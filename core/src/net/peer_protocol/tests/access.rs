@@ -335,7 +335,7 @@ fn a_peer_is_believed_once_that_it_refuses_a_subscription_and_only_one_that_ther
 #[test]
 fn what_a_node_says_to_its_own_components_no_peer_says() {
     let mut pair = guarded(Role::Operator, &[]);
-    pair.call(ContractIdentity { name: "blastema/load-state", ..count() }, Some(7));
+    pair.call(ContractIdentity { name: "blastema/drive-component", ..count() }, Some(7));
     assert_eq!(refused(&mut pair), ["tell"]);
 }
 

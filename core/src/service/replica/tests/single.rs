@@ -106,29 +106,11 @@ fn a_replica_that_needs_no_vote_waits_for_answers_after_its_second_poll_but_not_
         own.handle_carriers(&[node(1)], |_| true, at(500));
         assert!(!serves(&mut own, 900), "its answer is missing");
 
-        let mut answered = own.restarted(at(600));
+        let mut answered = own.restarted(Bytes::new(), at(600));
         let configuration = answered.configuration();
         answered.handle_configuration(&node(1), &configuration, at(600));
         assert!(serves(&mut answered, 600));
         own.handle_carriers(&[node(1)], |_| true, at(1000));
         assert!(serves(&mut own, 1000), "it does not answer");
     }
-}
-
-#[test]
-fn a_node_whose_configuration_differs_is_asked_again_at_the_next_poll_if_it_does_not_answer() {
-    let mut own = started(listing(0, &[0, 1, 2]));
-    let wrong = started(listing(1, &[1]));
-    own.handle_configuration(&node(1), &wrong.configuration(), at(1));
-    let asks = |own: &mut Replica, millis: u64| {
-        own.handle_carriers(&[node(1)], |_| true, at(millis));
-        let outputs: Vec<_> = std::iter::from_fn(|| own.poll_output()).collect();
-        outputs.contains(&ReplicaOutput::Compare { with: node(1) })
-    };
-    assert!(asks(&mut own, 2));
-    assert!(!asks(&mut own, 502));
-
-    own.handle_no_answer(&node(1));
-
-    assert!(asks(&mut own, 1002));
 }

@@ -90,6 +90,6 @@ async fn a_service_whose_component_cannot_be_built_is_refused_at_the_start_and_s
     let hoard = ServiceSpec::new("hoard", ["module1"], Hoard::broken);
     let refused = TestNode::try_start(Node::builder("module1").service(hoard)).await;
     let Err(StartError::Service { name, reason }) = refused else { panic!("there is nothing") };
-    assert_eq!(name.as_str(), "hoard");
+    assert_eq!(name, "hoard");
     assert!(reason.contains("no map of the cellar") && reason.contains("states.rs:"), "{reason}");
 }
