@@ -206,9 +206,9 @@ impl<C: Component> Context<C> {
 
     /// Announces that what is in service takes up to `span`: until the guard that is returned is
     /// dropped, it is taken neither for hanging nor for silent before that. Of operations that lie
-    /// within one another the longest counts.
+    /// within one another the one that is to end last counts.
     pub fn long_operation(&self, span: Duration) -> LongOperation {
-        LongOperation::begin(self.state.activity, self.state.token.clone(), span)
+        self.state.operations().begin(span)
     }
 
     /// Changes how often `on_execute` is called; `None` for never. The interval is not checked: one

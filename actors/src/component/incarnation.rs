@@ -1,6 +1,7 @@
 //! What one incarnation's context and its executor share, and what its threads are given.
 
 use crate::component::context::Context;
+use crate::component::long_operation::LongOperations;
 use crate::component::{Component, Failure};
 use crate::liveness::activity::ActivityRecord;
 use crate::messaging::incarnation::IncarnationToken;
@@ -89,6 +90,8 @@ pub(crate) struct IncarnationState<C: Component> {
     pub(crate) incarnation: Incarnation,
     pub(crate) token: Arc<IncarnationToken>,
     pub(crate) activity: &'static ActivityRecord,
+    /// There only where one was announced.
+    operations: OnceCell<Arc<LongOperations>>,
     /// When it began, until it first awaits something.
     pub(crate) began: Cell<Option<Instant>>,
     /// Of the message that is served, or was last.
@@ -112,6 +115,7 @@ impl<C: Component> IncarnationState<C> {
     pub(crate) fn new(incarnation: Incarnation, activity: &'static ActivityRecord) -> Self {
         IncarnationState {
             incarnation,
+            operations: OnceCell::new(),
             token: Arc::default(),
             activity,
             began: Cell::new(Some(platform::now())),
@@ -124,6 +128,11 @@ impl<C: Component> IncarnationState<C> {
             failed_checks: OnceCell::new(),
             declared: OnceCell::new(),
         }
+    }
+
+    pub(crate) fn operations(&self) -> &Arc<LongOperations> {
+        let fresh = || Arc::new(LongOperations::new(self.activity, self.token.clone()));
+        self.operations.get_or_init(fresh)
     }
 
     pub(crate) fn defer(&self, make: impl FnOnce(&mut DeferredCommands)) {

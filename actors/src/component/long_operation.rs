@@ -2,42 +2,62 @@
 
 use crate::liveness::activity::ActivityRecord;
 use crate::messaging::incarnation::IncarnationToken;
-use std::sync::Arc;
+use crate::platform;
+use crate::platform::lock;
+use blastema_core::Instant;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
+
+/// The operations of one incarnation that are under way, each with the time when it is to be over.
+pub(crate) struct LongOperations {
+    activity: &'static ActivityRecord,
+    token: Arc<IncarnationToken>,
+    ends: Mutex<Vec<Instant>>,
+}
+
+impl LongOperations {
+    pub(crate) fn new(activity: &'static ActivityRecord, token: Arc<IncarnationToken>) -> Self {
+        LongOperations { activity, token, ends: Mutex::default() }
+    }
+
+    pub(crate) fn begin(self: &Arc<Self>, span: Duration) -> LongOperation {
+        let end = platform::now() + span;
+        let mut ends = lock(&self.ends);
+        ends.push(end);
+        self.allow_latest(&ends);
+        LongOperation { operations: self.clone(), end }
+    }
+
+    /// Announces the time until the last of them is to be over.
+    fn allow_latest(&self, ends: &[Instant]) {
+        // The activity record may belong to another incarnation by now.
+        if !self.token.has_ended() {
+            let now = platform::now();
+            self.activity.allow(ends.iter().max().map_or(Duration::ZERO, |end| *end - now));
+        }
+    }
+}
 
 /// Ends a long operation when dropped; see [`Context::long_operation`](crate::Context).
 #[must_use = "the operation counts as long only while this guard lives"]
-#[derive(Debug)]
 pub struct LongOperation {
-    activity: &'static ActivityRecord,
-    token: Arc<IncarnationToken>,
-    /// What is announced again when it ends.
-    before: Duration,
+    operations: Arc<LongOperations>,
+    end: Instant,
 }
 
-impl LongOperation {
-    pub(crate) fn begin(
-        activity: &'static ActivityRecord,
-        token: Arc<IncarnationToken>,
-        span: Duration,
-    ) -> Self {
-        let before = activity.read().component.allowance;
-        let operation = LongOperation { activity, token, before };
-        operation.announce(span.max(before));
-        operation
-    }
-
-    fn announce(&self, span: Duration) {
-        // The activity record may belong to another incarnation by now.
-        if !self.token.has_ended() {
-            self.activity.allow(span);
-        }
+impl std::fmt::Debug for LongOperation {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("LongOperation").field("end", &self.end).finish_non_exhaustive()
     }
 }
 
 impl Drop for LongOperation {
     fn drop(&mut self) {
-        self.announce(self.before);
+        let mut ends = lock(&self.operations.ends);
+        if let Some(at) = ends.iter().position(|end| *end == self.end) {
+            ends.swap_remove(at);
+        }
+        self.operations.allow_latest(&ends);
     }
 }
 
@@ -45,32 +65,39 @@ impl Drop for LongOperation {
 mod tests {
     use super::*;
     use crate::liveness::activity::ActivitySlot;
+    use blastema_doubles::{advance, paused};
 
     const MS: Duration = Duration::from_millis(1);
 
     #[test]
-    fn of_operations_within_one_another_the_longest_counts() {
-        let slot = ActivitySlot::claim();
-        let begin = |span| LongOperation::begin(slot.activity, Arc::default(), span);
-        let allowance = || slot.activity.read().component.allowance;
+    fn the_latest_end_counts_in_whatever_order_operations_end() {
+        paused(async {
+            let slot = ActivitySlot::claim();
+            let operations = Arc::new(LongOperations::new(slot.activity, Arc::default()));
+            let allowance = || slot.activity.read().component.allowance;
 
-        let outer = begin(800 * MS);
-        let inner = begin(10 * MS);
-        assert_eq!(allowance(), 800 * MS, "a shorter one does not shorten it");
-        drop(inner);
-        assert_eq!(allowance(), 800 * MS);
-        let longer = begin(2000 * MS);
-        assert_eq!(allowance(), 2000 * MS);
-        drop(longer);
-        assert_eq!(allowance(), 800 * MS);
-        drop(outer);
-        assert_eq!(allowance(), Duration::ZERO);
+            let outer = operations.begin(800 * MS);
+            let inner = operations.begin(10 * MS);
+            assert_eq!(allowance(), 800 * MS, "a shorter one does not shorten it");
+            advance(100 * MS).await;
+            drop(inner);
+            assert_eq!(allowance(), 700 * MS);
+
+            let longer = operations.begin(2000 * MS);
+            drop(outer);
+            assert_eq!(allowance(), 2000 * MS);
+            let last = operations.begin(100 * MS);
+            drop(longer);
+            assert_eq!(allowance(), 100 * MS);
+            drop(last);
+            assert_eq!(allowance(), Duration::ZERO);
+        });
     }
 
     #[test]
     fn what_outlives_its_incarnation_changes_no_later_one() {
         let (slot, token) = (ActivitySlot::claim(), Arc::<IncarnationToken>::default());
-        let late = LongOperation::begin(slot.activity, token.clone(), 800 * MS);
+        let late = Arc::new(LongOperations::new(slot.activity, token.clone())).begin(800 * MS);
         token.end();
         slot.activity.allow(500 * MS);
 
