@@ -149,17 +149,18 @@ pub(super) struct Episode {
     pub(super) victims: SortedSet<SlotId>,
     /// The worst of all its figures.
     pub(super) worst: OverloadFigures,
-    is_reported: bool,
+    /// The worst of them when it was reported last, if it was.
+    reported: Option<OverloadFigures>,
 }
 
 impl Episode {
     pub(super) fn new(now: Instant) -> Self {
         let worst = OverloadFigures::default();
-        Episode { latest: now, victims: SortedSet::new(), worst, is_reported: false }
+        Episode { latest: now, victims: SortedSet::new(), worst, reported: None }
     }
 
-    /// These are late too, or still. Returns whether the overload is to be reported: it is new, or
-    /// has more victims.
+    /// These are late too, or still. Returns whether the overload is to be reported: it is new, has
+    /// more victims, or one of its figures has doubled.
     pub(super) fn note(
         &mut self,
         victims: impl Iterator<Item = SlotId>,
@@ -170,7 +171,24 @@ impl Episode {
         self.latest = now;
         self.victims.extend(victims);
         self.worst = self.worst.worst(figures);
-        !std::mem::replace(&mut self.is_reported, true) || self.victims.len() != known
+        let is_news = self.victims.len() != known || self.has_doubled();
+        if is_news {
+            self.reported = Some(self.worst);
+        }
+        is_news
+    }
+
+    /// One of its figures is twice as bad as reported. Smaller changes are reported with the next,
+    /// and so is silence, which is a fault of its own: an overload that lasts is reported a few
+    /// times, and not at every look.
+    fn has_doubled(&self) -> bool {
+        let OverloadFigures { queued, oldest, missed_rounds, expired, .. } = self.worst;
+        let Some(reported) = &self.reported else { return true };
+        (oldest > reported.oldest && oldest >= 2 * reported.oldest)
+            || (queued > reported.queued && queued >= 2 * reported.queued)
+            || (missed_rounds > reported.missed_rounds
+                && missed_rounds >= 2 * reported.missed_rounds)
+            || (expired > reported.expired && expired >= 2 * reported.expired)
     }
 }
 

@@ -107,6 +107,22 @@ fn the_component_that_keeps_the_thread_is_the_root_of_missed_rounds() {
 }
 
 #[test]
+fn an_overload_is_reported_again_each_time_a_figure_has_doubled() {
+    let mut road = Road::new(10, 3);
+    let mut reported = Vec::new();
+    for oldest in [400, 450, 500, 790, 800, 300, 1700] {
+        road.world.samples.queues[0] = QueueReading { queued: 7, oldest: ms(oldest) };
+        reported.extend(road.pass(3000));
+    }
+
+    let ages = |(_, seen): &(u64, LivenessEvent)| match seen {
+        found!(Finding::Overloaded { figures, .. }) => figures.oldest,
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(reported.iter().map(ages).collect::<Vec<_>>(), [ms(400), ms(800), ms(1700)]);
+}
+
+#[test]
 fn an_overload_is_over_when_the_load_has_been_gone_for_a_while_and_not_before() {
     let mut road = Road::new(10, 3);
     road.pass(5000);
