@@ -1,7 +1,8 @@
 //! The recoverer's actor: it carries out its machine's orders, or has a strategy do so.
 
-use super::strategy::{EngagedStrategy, StrategyContext, StrategyTable, StrategyThreads};
+use super::strategy::{EngagedStrategy, StrategyContext, StrategyTable};
 use crate::platform;
+use crate::runtime::callbacks::Callbacks;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::answers_the_monitor;
 use actix::fut::wrap_future;
@@ -10,11 +11,12 @@ use blastema_contract::Confirmed;
 use blastema_contract::detector::FaultOutcome;
 use blastema_contract::recoverer::{CancelRecovery, Recover, SafeStateChanged};
 use blastema_contract::strategy::ExecuteAction;
+use blastema_core::Instant;
 use blastema_core::recovery::{
-    self, RecovererOutput, RecoveryAction, RecoveryFailed, RecoveryOrder,
+    self, RecovererOutput, RecoveryAction, RecoveryDone, RecoveryFailed, RecoveryOrder,
 };
 use blastema_core::sorted::SortedMap;
-use std::time::Duration;
+use tokio::sync::watch;
 use tokio::time::timeout;
 use tracing::info;
 
@@ -28,8 +30,8 @@ pub(crate) struct RecovererSetup {
     pub(crate) context: StrategyContext,
     /// Gets a report of what becomes of every fault.
     pub(crate) detector: Recipient<FaultOutcome>,
-    /// Where strategies have threads of their own; `None` where all of the node runs on one.
-    pub(crate) threads: Option<StrategyThreads>,
+    /// Finds those that block.
+    pub(crate) callbacks: Callbacks,
 }
 
 /// Decides what is done about a fault.
@@ -40,71 +42,102 @@ pub(crate) struct RecovererActor {
     engaged: SortedMap<RecoveryAction, EngagedStrategy>,
 }
 
-/// How much later than its time a strategy that does not block its thread answers at the latest.
-const ANSWER_MARGIN: Duration = Duration::from_millis(100);
+/// What came back for one order.
+enum Answer {
+    Outcome(Result<RecoveryDone, RecoveryFailed>),
+    /// The thread of the strategy is blocked, by this order.
+    Blocked(u64),
+}
 
 impl RecovererActor {
     pub(crate) fn new(setup: RecovererSetup) -> Self {
         RecovererActor { setup, wake: WakeTimer::default(), engaged: SortedMap::new() }
     }
 
-    /// Where the strategy of the application takes orders that carries an action out, if one does.
+    /// The strategy of the application that carries an action out, if one does.
     fn strategy(
         &mut self,
         action: &RecoveryAction,
-    ) -> Result<Option<Recipient<ExecuteAction>>, RecoveryFailed> {
+    ) -> Result<Option<&EngagedStrategy>, RecoveryFailed> {
         let RecoveryAction::Custom(name) = action else { return Ok(None) };
-        if !self.engaged.get(action).is_some_and(|engaged| engaged.orders.connected()) {
-            let RecovererSetup { strategies, context, threads, .. } = &self.setup;
-            let strategy = strategies.make(name, context.clone(), threads.as_ref())?;
+        if !self.engaged.get(action).is_some_and(EngagedStrategy::is_usable) {
+            let RecovererSetup { strategies, context, callbacks, .. } = &self.setup;
+            let strategy = strategies.make(name, context.clone(), callbacks)?;
             self.engaged.insert(action.clone(), strategy);
         }
-        Ok(self.engaged.get(action).map(|engaged| engaged.orders.clone()))
+        Ok(self.engaged.get(action))
     }
 
     fn have_carried_out(&mut self, order: RecoveryOrder, context: &mut Context<Self>) {
+        let due = platform::now() + order.within;
         info!(location = %order.fault.location, action = %order.action, attempt = order.attempt, "recovering");
         let strategy = self.strategy(&order.action);
+        let strategy = strategy.map(|strategy| {
+            strategy.map(|strategy| (strategy.orders.clone(), strategy.blocked_by()))
+        });
         let (given, strategy_context) = (order.clone(), self.setup.context.clone());
-        let carried_out =
-            async move {
-                let within = given.within;
-                let orders = match strategy {
-                    Ok(Some(orders)) => orders,
-                    Ok(None) => {
-                        let work = timeout(within, strategy_context.carry_out(&given)).await;
-                        let overdue = |_| Err(format!("not done within {within:?}").into());
-                        return Ok(work.unwrap_or_else(overdue));
-                    }
-                    Err(failed) => return Ok(Err(failed)),
-                };
-                let limit = within.saturating_add(ANSWER_MARGIN);
-                match timeout(limit, orders.send(ExecuteAction(given))).await {
-                    Ok(answer) => Ok(answer
-                        .unwrap_or_else(|_| Err("the strategy ended without an answer".into()))),
-                    Err(_) => Err(orders),
+        let carried_out = async move {
+            let (orders, blocked_by) = match strategy {
+                Ok(Some(strategy)) => strategy,
+                Ok(None) => {
+                    let work = timeout(given.within, strategy_context.carry_out(&given)).await;
+                    let overdue = |_| Err(format!("not done within {:?}", given.within).into());
+                    return Answer::Outcome(work.unwrap_or_else(overdue));
                 }
+                Err(failed) => return Answer::Outcome(Err(failed)),
             };
-        let settle = move |answer, recoverer: &mut Self, context: &mut _| match answer {
-            Ok(outcome) => {
-                recoverer.setup.machine.handle_outcome(order.number, outcome, platform::now());
-                recoverer.drive(context);
+            tokio::select! {
+                biased;
+                order = blocked(blocked_by) => Answer::Blocked(order),
+                answer = orders.send(ExecuteAction(given)) => Answer::Outcome(
+                    answer.unwrap_or_else(|_| Err("the strategy ended without an answer".into())),
+                ),
             }
-            Err(orders) => recoverer.give_strategy_up(&order, &orders),
+        };
+        let settle = move |answer: Answer, recoverer: &mut Self, context: &mut _| {
+            recoverer.handle_answer(order, due, answer, context);
         };
         context.spawn(wrap_future::<_, Self>(carried_out).map(settle));
     }
 
-    /// The strategy has blocked its thread for all the time of this order, which has failed.
-    fn give_strategy_up(&mut self, order: &RecoveryOrder, orders: &Recipient<ExecuteAction>) {
-        let present = self.engaged.get(&order.action);
-        // Another order may have been found to wait for the same.
-        if present.is_some_and(|engaged| engaged.orders == *orders)
-            && let Some(engaged) = self.engaged.remove(&order.action)
-        {
-            engaged.give_up(order.within);
-        }
+    fn handle_answer(
+        &mut self,
+        mut order: RecoveryOrder,
+        due: Instant,
+        answer: Answer,
+        context: &mut Context<Self>,
+    ) {
+        let outcome = match answer {
+            Answer::Outcome(outcome) => outcome,
+            Answer::Blocked(culprit) if culprit == order.number => {
+                let limit = self.setup.callbacks.limit().unwrap_or_default();
+                Err(format!("the strategy {} blocked its thread for {limit:?}", order.action)
+                    .into())
+            }
+            // It waited behind another order, which failed.
+            Answer::Blocked(_) => {
+                order.within = due - platform::now();
+                if !order.within.is_zero() {
+                    return self.have_carried_out(order, context);
+                }
+                Err("its strategy was blocked by another order for all of its time".into())
+            }
+        };
+        self.setup.machine.handle_outcome(order.number, outcome, platform::now());
+        self.drive(context);
     }
+}
+
+/// Completes with the order that blocks the thread of a strategy.
+async fn blocked(blocked_by: Option<watch::Receiver<Option<u64>>>) -> u64 {
+    if let Some(mut blocked_by) = blocked_by
+        && let Ok(order) = blocked_by.wait_for(Option::is_some).await
+        && let Some(order) = *order
+    {
+        return order;
+    }
+    // Its thread has ended, or it has none for itself: then its mailbox says so.
+    std::future::pending().await
 }
 
 impl MachineActor for RecovererActor {

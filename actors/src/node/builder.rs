@@ -258,7 +258,8 @@ impl NodeBuilder {
         self
     }
 
-    /// Sets how long [safe outputs](NodeBuilder::safe_outputs) and
+    /// Sets how long a [recovery strategy](RecoveryStrategy) may keep its thread without an await
+    /// that waits, and how long [safe outputs](NodeBuilder::safe_outputs) and
     /// [cut-offs](crate::ActuatorSpec::cut_off) may take: 500 ms by default, from 10 ms to a
     /// minute. What takes longer is a fault under its own name, its thread is
     /// [abandoned](crate::Node::abandoned_threads), and the fault chain goes on. Shorter goes on

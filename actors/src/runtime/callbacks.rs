@@ -1,11 +1,12 @@
-//! Calls of safe outputs and cut-offs by the middleware.
+//! Calls of the application's code by the middleware: recovery strategies and safe outputs.
 //!
-//! None of them runs on the fault chain's thread. They are called one after the other on a thread
-//! that is started for them. The thread that [watches the chain](crate::fault_chain::outside) finds
-//! a call that takes longer than the limit: it is reported under its name, its thread is abandoned,
+//! None of it runs on the fault chain's thread. A strategy has an arbiter of its own. Safe outputs
+//! are called one after the other on a thread that is started for them. Each call is entered here
+//! while it runs, and the thread that [watches the chain](crate::fault_chain::outside) finds those
+//! that take longer than the limit: the call is reported under its name, its thread is abandoned,
 //! and the calls that wait behind it go on on a fresh one.
 //!
-//! Whether a call returned in time is decided once, under the lock of the queue. A call that
+//! Whether a call returned in time is decided once, under the lock of its stage. A call that
 //! returns while its delay is being reported waits for the end of that report, so that each thread
 //! that is counted as lost is counted as returned afterwards.
 //!
@@ -16,10 +17,11 @@ use crate::arbiter::pool::{ArbiterPool, THREADS_OF_ONE};
 use crate::platform;
 use crate::platform::lock;
 use crate::platform::panics;
+use crate::runtime::reports::FaultReports;
 use blastema_core::ObjectName;
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 /// What became of one call.
@@ -39,6 +41,7 @@ pub(crate) enum CallOutcome {
 
 /// Is told what became of a call: once, and once more where that was [`CallOutcome::Blocked`].
 type OutcomeFn = Box<dyn Fn(CallOutcome) + Send>;
+type LateFn = Box<dyn FnOnce(Duration) + Send>;
 
 /// Starts a thread of this name, or says that the system has none left.
 type StartThread = Box<dyn Fn(&str, Box<dyn FnOnce() + Send>) -> std::io::Result<()> + Send + Sync>;
@@ -53,18 +56,37 @@ struct Threads {
     start: StartThread,
     /// Counts the threads that are abandoned, with those of components.
     arbiters: ArbiterPool,
+    /// The calls that run and are not late, each with the time for which it was seen to run. At
+    /// most one a thread.
+    running: Mutex<Vec<(Duration, Arc<ActiveCall>)>>,
     queue: Mutex<Queue>,
+    reports: OnceLock<FaultReports>,
 }
 
-/// Calls that wait: no more than components and actuators enter the safe state at once.
+/// One call that is observed.
+struct ActiveCall {
+    /// Whose code it is.
+    object: ObjectName,
+    stage: Mutex<CallStage>,
+}
+
+/// How far a call has come.
+enum CallStage {
+    /// It runs; this is to be called if it takes too long.
+    Running(LateFn),
+    /// It takes too long, which was reported.
+    Blocked,
+    Returned,
+}
+
+/// Calls of safe outputs that wait: no more than components and actuators enter the safe state at
+/// once.
 #[derive(Default)]
 struct Queue {
     waiting: VecDeque<Job>,
     /// The thread that makes the calls; none while none waits.
     thread: Option<u64>,
     started: u64,
-    /// The call that it makes.
-    running: Option<RunningCall>,
     /// Whose calls block a thread now. What an object blocks by its handlers is not held against it
     /// here: the safe outputs of a component that hangs are called in every case.
     blocked: Vec<ObjectName>,
@@ -77,12 +99,39 @@ struct Job {
     outcome: OutcomeFn,
 }
 
-/// One call that runs and is not late.
-struct RunningCall {
-    object: ObjectName,
-    outcome: Arc<Mutex<OutcomeFn>>,
-    /// For how long it was seen to run.
-    seen: Duration,
+impl ActiveCall {
+    /// It takes too long, unless it has returned meanwhile.
+    fn handle_late(&self, threads: &Threads) {
+        let mut stage = lock(&self.stage);
+        match std::mem::replace(&mut *stage, CallStage::Blocked) {
+            // The lock is held until all is reported: see `RunningCall::end`.
+            CallStage::Running(late) => {
+                threads.arbiters.note_abandoned(&self.object);
+                late(threads.limit);
+            }
+            decided => *stage = decided,
+        }
+    }
+}
+
+/// One call that runs now.
+pub(crate) struct RunningCall {
+    threads: Arc<Threads>,
+    call: Arc<ActiveCall>,
+}
+
+impl RunningCall {
+    /// It has returned. Says whether that was in time; if not, its delay has been reported.
+    pub(crate) fn end(self) -> bool {
+        let RunningCall { threads, call } = self;
+        lock(&threads.running).retain(|(_, other)| !Arc::ptr_eq(other, &call));
+        let stage = std::mem::replace(&mut *lock(&call.stage), CallStage::Returned);
+        let in_time = !matches!(stage, CallStage::Blocked);
+        if !in_time {
+            threads.arbiters.note_returned(&call.object);
+        }
+        in_time
+    }
 }
 
 impl Callbacks {
@@ -94,7 +143,22 @@ impl Callbacks {
 
     /// The same, on threads that are started so.
     fn on_threads_of(start: StartThread, limit: Duration, arbiters: ArbiterPool) -> Self {
-        Callbacks(Some(Arc::new(Threads { limit, start, arbiters, queue: Mutex::default() })))
+        Callbacks(Some(Arc::new(Threads {
+            limit,
+            start,
+            arbiters,
+            running: Mutex::default(),
+            queue: Mutex::default(),
+            reports: OnceLock::new(),
+        })))
+    }
+
+    /// Reports calls that block from now on.
+    pub(crate) fn report_to(&self, reports: FaultReports) {
+        if let Some(threads) = &self.0 {
+            // A node's chain is made once.
+            let _ = threads.reports.set(reports);
+        }
     }
 
     /// Whether calls are made on threads of their own.
@@ -107,17 +171,55 @@ impl Callbacks {
         self.0.as_ref().map(|threads| threads.limit)
     }
 
-    /// The next look at the call that runs, `since` after the one before.
+    /// A call of this object's code begins on this thread. Where it takes longer than the limit,
+    /// the thread counts as abandoned, and `late` is called on another one. It must not wait for
+    /// the call.
+    pub(crate) fn enter(
+        &self,
+        object: &ObjectName,
+        late: impl FnOnce(Duration) + Send + 'static,
+    ) -> Option<RunningCall> {
+        Some(self.0.as_ref()?.enter(object, Box::new(late)))
+    }
+
+    /// The next look at the calls that run, `since` after the one before.
     pub(crate) fn look(&self, since: Duration) {
         let Some(threads) = &self.0 else { return };
-        threads.look(since);
+        let late: Vec<(Duration, Arc<ActiveCall>)> = {
+            let mut running = lock(&threads.running);
+            running.iter_mut().for_each(|(seen, _)| *seen += since);
+            running.extract_if(.., |(seen, _)| *seen > threads.limit).collect()
+        };
+        late.iter().for_each(|(_, call)| call.handle_late(threads));
         // Behind a call that blocks, others may wait.
         threads.serve();
     }
 
-    /// Has code of the object called, behind what waits already. `outcome` is told what became of
-    /// it. Where the system has no thread left, it is called on the caller's thread: that outputs
-    /// are safe comes before all else.
+    /// A fault of `object`, whose code blocks a thread.
+    pub(crate) fn declare(&self, object: &ObjectName, detail: String) {
+        if let Some(reports) = self.0.as_ref().and_then(|threads| threads.reports.get()) {
+            reports.declare(object.as_str(), detail);
+        }
+    }
+
+    /// What was declared of `object` is over.
+    pub(crate) fn clear(&self, object: &ObjectName) {
+        if let Some(reports) = self.0.as_ref().and_then(|threads| threads.reports.get()) {
+            reports.clear(object.as_str());
+        }
+    }
+
+    /// Whether code of this object may be called once more.
+    ///
+    /// # Errors
+    /// It keeps its share of threads already.
+    pub(crate) fn check_share(&self, object: &ObjectName) -> std::io::Result<()> {
+        self.0.as_ref().map_or(Ok(()), |threads| threads.arbiters.check_share(object))
+    }
+
+    /// Has safe outputs of the object called, behind those that wait already. `outcome` is told what
+    /// became of it. Where the system has no thread left, they are called on the caller's thread:
+    /// that outputs are safe comes before all else.
     pub(crate) fn call(
         &self,
         object: &ObjectName,
@@ -158,22 +260,11 @@ impl Queue {
 }
 
 impl Threads {
-    /// Abandons the thread whose call takes too long.
-    fn look(&self, since: Duration) {
-        let mut queue = lock(&self.queue);
-        let Some(running) = &mut queue.running else { return };
-        running.seen += since;
-        if running.seen <= self.limit {
-            return;
-        }
-        let Some(RunningCall { object, outcome, .. }) = queue.running.take() else { return };
-        queue.thread = None;
-        queue.blocked.push(object.clone());
-        // Held until all is reported: see `work`.
-        let tell = lock(&outcome);
-        drop(queue);
-        self.arbiters.note_abandoned(&object);
-        tell(CallOutcome::Blocked(self.limit));
+    fn enter(self: &Arc<Self>, object: &ObjectName, late: LateFn) -> RunningCall {
+        let (object, stage) = (object.clone(), Mutex::new(CallStage::Running(late)));
+        let call = Arc::new(ActiveCall { object, stage });
+        lock(&self.running).push((Duration::ZERO, call.clone()));
+        RunningCall { threads: self.clone(), call }
     }
 
     /// Sees that a thread makes the calls that wait.
@@ -195,34 +286,37 @@ impl Threads {
     /// Makes calls until none waits, or until this thread is abandoned.
     fn work(self: &Arc<Self>, number: u64) {
         loop {
-            let mut queue = lock(&self.queue);
-            let Some(Job { object, run, outcome }) = queue.waiting.pop_front() else {
-                queue.thread = None;
-                return;
+            let (Job { object, run, outcome }, may_call) = {
+                let mut queue = lock(&self.queue);
+                let Some(job) = queue.waiting.pop_front() else {
+                    queue.thread = None;
+                    return;
+                };
+                let may_call = queue.may_call(&job.object);
+                (job, may_call)
             };
-            if !queue.may_call(&object) {
-                drop(queue);
+            if !may_call {
                 outcome(CallOutcome::NotMade);
                 continue;
             }
             let outcome = Arc::new(Mutex::new(outcome));
-            let (of, seen) = (object.clone(), Duration::ZERO);
-            queue.running = Some(RunningCall { object: of, outcome: outcome.clone(), seen });
-            drop(queue);
-            let result = guarded(run);
-            let mut queue = lock(&self.queue);
-            if queue.thread == Some(number) {
-                queue.running = None;
+            let (threads, report, culprit) = (self.clone(), outcome.clone(), object.clone());
+            let late = move |limit| {
+                let mut queue = lock(&threads.queue);
+                queue.thread.take_if(|thread| *thread == number);
+                queue.blocked.push(culprit);
                 drop(queue);
+                lock(&report)(CallOutcome::Blocked(limit));
+            };
+            let call = self.enter(&object, Box::new(late));
+            let result = guarded(run);
+            if call.end() {
                 lock(&outcome)(result);
                 continue;
             }
             // Another thread makes the calls now.
-            queue.forget_blocked(&object);
-            drop(queue);
-            let tell = lock(&outcome);
-            self.arbiters.note_returned(&object);
-            tell(CallOutcome::ReturnedLate);
+            lock(&self.queue).forget_blocked(&object);
+            lock(&outcome)(CallOutcome::ReturnedLate);
             return self.serve();
         }
     }

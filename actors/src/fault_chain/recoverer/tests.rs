@@ -61,7 +61,7 @@ impl Chain {
             strategies,
             context,
             detector: outcomes.recipient(),
-            threads: None,
+            callbacks: Callbacks::default(),
         };
         let name = "chain/recoverer".parse().expect("a good name");
         let make = move |_: &mut Context<RecovererActor>| RecovererActor::new(setup);

@@ -1,24 +1,58 @@
 //! The actor around a strategy.
 
-use super::table::StrategyThread;
 use super::{RecoveryStrategy, StrategyContext};
-use crate::platform::panics;
+use crate::platform::panics::{self, PanicRecord};
+use crate::runtime::callbacks::{Callbacks, RunningCall};
 use crate::runtime::pending_answer::PendingAnswer;
 use actix::prelude::*;
 use blastema_contract::strategy::ExecuteAction;
+use blastema_core::ObjectName;
 use blastema_core::recovery::{RecoveryDone, RecoveryFailed};
 use std::future::{Future, poll_fn};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::pin::pin;
 use std::rc::Rc;
 use std::sync::Arc;
+use std::task::Poll;
+use tokio::sync::watch;
 
-/// Hosts one strategy: a panic in it and its silence are failures like any other.
+/// Hosts one strategy: a panic in it, its silence, and that it blocks are failures like any other.
 pub(super) struct StrategyHost<S> {
     make: Arc<dyn Fn() -> S + Send + Sync>,
     /// Made with its first order.
     strategy: Option<Rc<S>>,
     context: StrategyContext,
     thread: Option<StrategyThread>,
+}
+
+/// The thread that a strategy has for itself.
+#[derive(Clone)]
+pub(super) struct StrategyThread {
+    pub(super) object: ObjectName,
+    pub(super) callbacks: Callbacks,
+    /// The order that blocks it.
+    pub(super) blocked_by: Arc<watch::Sender<Option<u64>>>,
+}
+
+impl StrategyThread {
+    /// The strategy's code runs now, for this order.
+    fn enter(&self, order: u64) -> Option<RunningCall> {
+        let thread = self.clone();
+        self.callbacks.enter(&self.object, move |limit| {
+            thread.blocked_by.send_replace(Some(order));
+            let detail = format!(
+                "the recovery strategy {} has blocked its thread for {limit:?}: the thread is abandoned",
+                thread.object.as_str().rsplit('/').next().unwrap_or_default()
+            );
+            thread.callbacks.declare(&thread.object, detail);
+        })
+    }
+
+    /// It has returned, long after another thread took its place.
+    fn end_late(&self) {
+        self.callbacks.clear(&self.object);
+        Arbiter::current().stop();
+    }
 }
 
 impl<S: RecoveryStrategy> StrategyHost<S> {
@@ -30,13 +64,23 @@ impl<S: RecoveryStrategy> StrategyHost<S> {
         StrategyHost { make, strategy: None, context, thread }
     }
 
-    fn strategy(&mut self) -> Result<Rc<S>, RecoveryFailed> {
+    fn strategy(&mut self, order: u64) -> Result<Rc<S>, RecoveryFailed> {
         if let Some(strategy) = &self.strategy {
             return Ok(strategy.clone());
         }
-        let made = panics::caught(|| (self.make)());
-        let strategy = made.map_err(|why| format!("making the strategy {why}"))?;
-        Ok(self.strategy.insert(Rc::new(strategy)).clone())
+        let call = self.thread.as_ref().and_then(|thread| thread.enter(order));
+        let made = {
+            let _guarded = panics::PanicGuard::enter();
+            catch_unwind(AssertUnwindSafe(|| (self.make)()))
+        };
+        if let (Some(thread), Some(false)) = (&self.thread, call.map(RunningCall::end)) {
+            thread.end_late();
+        }
+        let strategy = made.map(Rc::new).map_err(|payload| {
+            let PanicRecord { text, at } = panics::read(payload);
+            RecoveryFailed::from(format!("making the strategy panicked at {at}: {text}"))
+        })?;
+        Ok(self.strategy.insert(strategy).clone())
     }
 }
 
@@ -44,31 +88,18 @@ impl<S: RecoveryStrategy> Actor for StrategyHost<S> {
     type Context = Context<Self>;
 }
 
-impl<S> Drop for StrategyHost<S> {
-    fn drop(&mut self) {
-        if let Some(thread) = &self.thread {
-            thread.end();
-        }
-    }
-}
-
 impl<S: RecoveryStrategy> Handler<ExecuteAction> for StrategyHost<S> {
     type Result = PendingAnswer<Result<RecoveryDone, RecoveryFailed>>;
 
     fn handle(&mut self, message: ExecuteAction, _: &mut Context<Self>) -> Self::Result {
         let ExecuteAction(order) = message;
-        // The orders of a thread that was given up have failed already.
-        let strategy = match self.thread.as_ref().is_some_and(StrategyThread::is_given_up) {
-            true => Err("its thread was given up".into()),
-            false => self.strategy(),
-        };
-        let strategy = match strategy {
+        let strategy = match self.strategy(order.number) {
             Ok(strategy) => strategy,
             Err(failed) => return PendingAnswer::new(std::future::ready(Err(failed))),
         };
-        let context = self.context.clone();
+        let (context, thread) = (self.context.clone(), self.thread.clone());
         PendingAnswer::new(async move {
-            let work = guarded(strategy.carry_out(&order, &context));
+            let work = guarded(strategy.carry_out(&order, &context), order.number, thread);
             match tokio::time::timeout(order.within, work).await {
                 Ok(outcome) => outcome,
                 Err(_) => Err(format!("not done within {:?}", order.within).into()),
@@ -80,11 +111,26 @@ impl<S: RecoveryStrategy> Handler<ExecuteAction> for StrategyHost<S> {
 /// Polls the strategy's future so that a panic in it becomes a failure with its text and place.
 async fn guarded(
     work: impl Future<Output = Result<RecoveryDone, RecoveryFailed>>,
+    order: u64,
+    thread: Option<StrategyThread>,
 ) -> Result<RecoveryDone, RecoveryFailed> {
     let mut work = pin!(work);
     poll_fn(move |cx| {
-        let polled = panics::caught(|| work.as_mut().poll(cx));
-        polled.unwrap_or_else(|why| Err(format!("the strategy {why}").into()).into())
+        let call = thread.as_ref().and_then(|thread| thread.enter(order));
+        let polled = {
+            let _guarded = panics::PanicGuard::enter();
+            catch_unwind(AssertUnwindSafe(|| work.as_mut().poll(cx)))
+        };
+        if let (Some(thread), Some(false)) = (&thread, call.map(RunningCall::end)) {
+            // Its order was given to a successor, or has failed: nothing more is done about it
+            // here.
+            thread.end_late();
+            return Poll::Pending;
+        }
+        polled.unwrap_or_else(|payload| {
+            let PanicRecord { text, at } = panics::read(payload);
+            Err(format!("the strategy panicked at {at}: {text}").into()).into()
+        })
     })
     .await
 }

@@ -17,7 +17,7 @@ mod table;
 pub use context::StrategyContext;
 pub(crate) use context::StrategyTargets;
 pub(crate) use outputs::{ApplyOutputs, NOT_RETURNED, SAFE_OUTPUTS, SafeOutputs};
-pub(crate) use table::{EngagedStrategy, StrategyTable, StrategyThreads, object_of};
+pub(crate) use table::{EngagedStrategy, StrategyTable, object_of};
 
 use blastema_core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 
@@ -31,8 +31,9 @@ use blastema_core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 /// [`RecoveryOrder::within`], has failed, and the recoverer goes on up its ladder.
 ///
 /// Each strategy has a thread of its own. Where it blocks that thread for longer than
-/// [`RecoveryOrder::within`], the thread is abandoned, and a fault of `chain/strategy/<name>` says
-/// so. The orders that it had have failed; a new instance on a fresh thread gets those that follow.
+/// [`callback_limit`](crate::NodeBuilder::callback_limit), the order that it blocks for has failed,
+/// the thread is abandoned, and a fault of `chain/strategy/<name>` says so; the other orders that
+/// it had are given to a new instance of it, on a fresh thread, from their beginning.
 ///
 /// ```
 /// use blastema::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};

@@ -1,19 +1,16 @@
 //! How to make each strategy when it is needed.
 
-use super::host::StrategyHost;
+use super::host::{StrategyHost, StrategyThread};
 use super::{RecoveryStrategy, StrategyContext};
-use crate::arbiter::pool::ArbiterPool;
 use crate::platform::own_arbiter;
-use crate::runtime::reports::FaultReports;
+use crate::runtime::callbacks::Callbacks;
 use actix::prelude::*;
 use blastema_contract::strategy::ExecuteAction;
 use blastema_core::ObjectName;
 use blastema_core::recovery::RecoveryFailed;
 use blastema_core::sorted::SortedMap;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
-use std::sync::atomic::Ordering::SeqCst;
-use std::time::Duration;
+use tokio::sync::watch;
 
 /// Starts a strategy here, or on the thread that it has for itself.
 type Make = Arc<
@@ -22,67 +19,29 @@ type Make = Arc<
         + Sync,
 >;
 
-/// Where the threads of strategies are counted that are given up, and what is reported of them.
-#[derive(Clone)]
-pub(crate) struct StrategyThreads {
-    pub(crate) arbiters: ArbiterPool,
-    pub(crate) reports: FaultReports,
-}
-
-/// The thread that a strategy has for itself.
-#[derive(Clone)]
-pub(super) struct StrategyThread {
-    object: ObjectName,
-    threads: StrategyThreads,
-    given_up: Arc<AtomicBool>,
-}
-
-impl StrategyThread {
-    pub(super) fn is_given_up(&self) -> bool {
-        self.given_up.load(SeqCst)
-    }
-
-    /// The strategy keeps its thread for longer than its order may take.
-    fn give_up(&self, within: Duration) {
-        let StrategyThreads { arbiters, reports } = &self.threads;
-        arbiters.note_abandoned(&self.object);
-        let name = self.object.as_str().rsplit('/').next().unwrap_or_default();
-        let detail = format!(
-            "the recovery strategy {name} has blocked its thread for {within:?}: the thread is abandoned"
-        );
-        reports.declare(self.object.as_str(), detail);
-        self.given_up.store(true, SeqCst);
-    }
-
-    /// The thread ends; one that was given up has come back.
-    pub(super) fn end(&self) {
-        if self.is_given_up() {
-            self.threads.arbiters.note_returned(&self.object);
-            self.threads.reports.clear(self.object.as_str());
-        }
-    }
-}
-
 /// A strategy that carries orders out at present. Dropped, it ends with its thread.
 pub(crate) struct EngagedStrategy {
     pub(crate) orders: Recipient<ExecuteAction>,
-    own: Option<(ArbiterHandle, StrategyThread)>,
+    own: Option<(ArbiterHandle, watch::Receiver<Option<u64>>)>,
 }
 
 impl EngagedStrategy {
-    /// It has not answered an order in its time, and its thread keeps it from saying so: another
-    /// instance takes its place.
-    pub(crate) fn give_up(self, within: Duration) {
-        if let Some((_, thread)) = &self.own {
-            thread.give_up(within);
-        }
+    /// Whether it can take orders.
+    pub(crate) fn is_usable(&self) -> bool {
+        let blocked = self.own.as_ref().is_some_and(|(_, blocked)| blocked.borrow().is_some());
+        self.orders.connected() && !blocked
+    }
+
+    /// Gets the order that blocks its thread, where it has one for itself.
+    pub(crate) fn blocked_by(&self) -> Option<watch::Receiver<Option<u64>>> {
+        self.own.as_ref().map(|(_, blocked)| blocked.clone())
     }
 }
 
 impl Drop for EngagedStrategy {
     fn drop(&mut self) {
-        if let Some((arbiter, _)) = &self.own {
-            arbiter.stop();
+        if let Some((thread, _)) = &self.own {
+            thread.stop();
         }
     }
 }
@@ -135,20 +94,21 @@ impl StrategyTable {
         &self,
         name: &str,
         context: StrategyContext,
-        threads: Option<&StrategyThreads>,
+        callbacks: &Callbacks,
     ) -> Result<EngagedStrategy, RecoveryFailed> {
-        let make = self.0.get(name).ok_or_else(|| format!("there is no strategy {name:?}"))?;
-        let Some(threads) = threads.cloned() else {
-            return Ok(EngagedStrategy { orders: make(context, None), own: None });
-        };
         let object = object_of(name);
-        let arbiter = threads
-            .arbiters
+        let make = self.0.get(name).ok_or_else(|| format!("there is no strategy {name:?}"))?;
+        if !callbacks.have_threads() {
+            return Ok(EngagedStrategy { orders: make(context, None), own: None });
+        }
+        let arbiter = callbacks
             .check_share(&object)
             .and_then(|()| own_arbiter())
             .map_err(|error| format!("there is no thread for the strategy {name}: {error}"))?;
-        let thread = StrategyThread { object, threads, given_up: Arc::default() };
-        let orders = make(context, Some((&arbiter, thread.clone())));
-        Ok(EngagedStrategy { orders, own: Some((arbiter, thread)) })
+        let (blocked_by, blocked) = watch::channel(None);
+        let (callbacks, blocked_by) = (callbacks.clone(), Arc::new(blocked_by));
+        let thread = StrategyThread { object, callbacks, blocked_by };
+        let orders = make(context, Some((&arbiter, thread)));
+        Ok(EngagedStrategy { orders, own: Some((arbiter, blocked)) })
     }
 }

@@ -9,7 +9,7 @@ use crate::fault_chain::directory::SupervisorDirectory;
 use crate::fault_chain::outside::{ChainWatch, OutsideSetup};
 use crate::fault_chain::recoverer::{RecovererActor, RecovererSetup};
 use crate::fault_chain::strategy::{
-    SAFE_OUTPUTS, SafeOutputs, StrategyContext, StrategyTargets, StrategyThreads, object_of,
+    SAFE_OUTPUTS, SafeOutputs, StrategyContext, StrategyTargets, object_of,
 };
 use crate::liveness::sampler::SamplerGuard;
 use crate::node::builder::{ActorPlacement, NodeBuilder};
@@ -178,14 +178,14 @@ pub(super) fn make_chain(
     );
     guardian.report_to(monitor.clone().recipient());
 
-    let reports = reports(&monitor);
-    let (callbacks, threads) = match builder.placement {
-        ActorPlacement::Here => (Callbacks::default(), None),
-        ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => (
-            Callbacks::on_threads(builder.callback_limit, arbiters.clone()),
-            Some(StrategyThreads { arbiters: arbiters.clone(), reports: reports.clone() }),
-        ),
+    let callbacks = match builder.placement {
+        ActorPlacement::Here => Callbacks::default(),
+        ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => {
+            Callbacks::on_threads(builder.callback_limit, arbiters.clone())
+        }
     };
+    let reports = reports(&monitor);
+    callbacks.report_to(reports.clone());
     let (state, actuators) = (builder.state.subscribe(), ActuatorTable::new(callbacks.clone()));
     let safe_outputs = SafeOutputs::new(builder.safe_outputs.clone(), callbacks.clone(), reports);
     let setup = NodeControllerSetup {
@@ -219,7 +219,7 @@ pub(super) fn make_chain(
         strategies: builder.strategies.clone(),
         context,
         detector: monitor.clone().recipient(),
-        threads,
+        callbacks: callbacks.clone(),
     };
     let recoverer = guardian.start(
         named("chain/recoverer"),

@@ -96,29 +96,22 @@ fn a_call_that_blocks_is_told_once_and_those_behind_it_are_made_on_another_threa
 #[test]
 fn a_call_that_returns_while_its_delay_is_reported_leaves_no_lost_thread() {
     let rig = Rig::new();
-    let ((hold, held), (go_on, stopped)) = (channel::<()>(), channel::<()>());
-    let (begun, begins) = channel();
-    let run = move || {
-        begun.send(()).unwrap();
-        let _ = held.recv();
-    };
-    let outcomes = rig.outcomes.0.clone();
-    rig.callbacks.call(&"arm".parse().unwrap(), run, move |outcome| {
-        outcomes.send((1, outcome)).unwrap();
-        // The report of the delay stops here.
-        let _ = stopped.recv();
-    });
-    begins.recv_timeout(PATIENCE).expect("a thread makes the call");
+    let hold = rig.block(1);
+    // The report of the delay stops at this lock.
+    let queue = lock(&rig.threads().queue);
     let callbacks = rig.callbacks.clone();
     let look = std::thread::spawn(move || callbacks.look(2 * LIMIT));
-    assert_eq!(rig.outcomes(), (1, CallOutcome::Blocked(LIMIT)));
+    while !lock(&rig.threads().running).is_empty() {
+        std::thread::yield_now();
+    }
 
     drop(hold);
     let early = rig.outcomes.1.recv_timeout(LIMIT);
     assert!(early.is_err(), "its delay is reported first: {early:?}");
-    drop(go_on);
+    drop(queue);
     look.join().unwrap();
 
+    assert_eq!(rig.outcomes(), (1, CallOutcome::Blocked(LIMIT)));
     assert_eq!(rig.outcomes(), (1, CallOutcome::ReturnedLate));
     assert_eq!(rig.abandoned(), 0);
 }
