@@ -137,10 +137,12 @@ impl DetectionActor {
                 (FaultNotice::Cleared { .. }, None) => Box::pin(std::future::ready(Ok(Confirmed))),
             };
         context.spawn(wrap_future(sent).map(move |answer, chain: &mut Self, context| {
-            if let Ok(Confirmed) = answer {
-                chain.machine.notifier.handle_confirmed(&port, number, platform::now());
-                chain.drive(context);
+            let (notifier, now) = (&mut chain.machine.notifier, platform::now());
+            match answer {
+                Ok(Confirmed) => notifier.handle_confirmed(&port, number, now),
+                Err(_) => notifier.handle_failed(&port, number, now),
             }
+            chain.drive(context);
         }));
     }
 

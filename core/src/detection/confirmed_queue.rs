@@ -18,7 +18,7 @@ const SECOND: Duration = Duration::from_nanos(999_999_999);
 /// ```text
 /// hand(item) ─► waiting ─► under way ──handle_confirmed──► done
 ///                 │          │    ▲
-///        full: GivenUp       │    └ timeout over: again
+///        full: GivenUp       │    └ timeout over, or known to have failed: again
 ///                            └ tries used up: GivenUp
 /// ```
 #[derive(Clone, Debug)]
@@ -124,6 +124,18 @@ impl<T: Clone> ConfirmedQueue<T> {
         if self.flight.as_ref().is_some_and(|flight| flight.number == number) {
             self.flight = None;
             self.advance(now);
+        }
+    }
+
+    /// It is known that a delivery did not arrive. The first time it is sent again at once, since a
+    /// receiver that a guardian restarts is back by now; after that the back-off holds.
+    pub fn handle_failed(&mut self, number: u64, now: Instant) {
+        if let Some(flight) = &mut self.flight
+            && flight.number == number
+            && flight.tries == 1
+        {
+            flight.due = now;
+            self.handle_timeout(now);
         }
     }
 
@@ -296,12 +308,27 @@ mod tests {
     }
 
     #[test]
+    fn a_delivery_known_to_have_failed_is_repeated_at_once_and_only_once() {
+        let mut queue = ConfirmedQueue::new(LIMITS, 0);
+        queue.hand(0, "a", at(0));
+        delivered(&mut queue);
+
+        queue.handle_failed(1, at(1));
+        assert_eq!(delivered(&mut queue), [(1, "a")]);
+        queue.handle_failed(1, at(2));
+        assert_eq!(delivered(&mut queue), []);
+
+        assert_eq!(queue.poll_timeout(), Some(at(201)));
+    }
+
+    #[test]
     fn a_confirmation_of_something_else_changes_nothing() {
         let mut queue = ConfirmedQueue::new(LIMITS, 7);
         queue.hand(0, "a", at(0));
         delivered(&mut queue);
 
         queue.handle_confirmed(7, at(1));
+        queue.handle_failed(9, at(1));
 
         assert_eq!(queue.under_way(), Some(&"a"));
         assert_eq!(delivered(&mut queue), []);

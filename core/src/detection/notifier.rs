@@ -105,6 +105,13 @@ impl Notifier {
         }
     }
 
+    /// A notice is known not to have reached the recoverer.
+    pub fn handle_failed(&mut self, port: &RecovererPort, number: u64, now: Instant) {
+        if let Some(queue) = self.ports.get_mut(port) {
+            queue.handle_failed(number, now);
+        }
+    }
+
     /// The notifier with the same facts, for an actor that panicked within an input.
     #[must_use]
     pub fn restarted(self, now: Instant) -> Self {
