@@ -20,7 +20,6 @@ pub(crate) mod systemd;
 #[cfg_attr(not(feature = "journal"), allow(unreachable_pub, reason = "the journal's times"))]
 pub(crate) mod wall_time;
 pub(crate) mod watchdog_device;
-pub(crate) mod write_queue;
 
 #[cfg(feature = "process")]
 pub use output_lines::read_lines;

@@ -1,11 +1,10 @@
 //! What stands in a journal.
 
+use super::lock;
 use super::store::{APPLICATION, ENDED_WITH_PROCESS, NODE_ENDED, VERSION, version_of};
-use crate::platform::file_lock::{beside, without_links};
 use crate::platform::wall_time::WallTime;
 use rusqlite::{Connection, OpenFlags, Row};
 use std::fmt;
-use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -155,15 +154,15 @@ pub fn read(path: &Path) -> Result<Vec<JournalEntry>, ReadError> {
     let connection = Connection::open_with_flags(path, flags).map_err(unreadable)?;
     connection.busy_timeout(BUSY).map_err(unreadable)?;
     check(&connection, path).map_err(unreadable)??;
-    // Before the faults are read: a node that ends in between has marked them by then.
-    let is_running = is_running(path);
-    entries(&connection, is_running).map_err(unreadable)
-}
-
-/// Whether a node writes the journal at `path`: it holds the lock beside the file.
-fn is_running(path: &Path) -> bool {
-    let Ok(file) = File::open(beside(&without_links(path), "lock")) else { return false };
-    matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock))
+    loop {
+        // Before the faults are read: a node that ends in between has marked its run by then.
+        let running = lock::is_running(path);
+        let entries = entries(&connection, running).map_err(unreadable)?;
+        // What a node has written that began in between stands, and was taken for ended.
+        if running || !lock::is_running(path) {
+            return Ok(entries);
+        }
+    }
 }
 
 fn check(connection: &Connection, path: &Path) -> rusqlite::Result<Result<(), ReadError>> {
@@ -180,7 +179,13 @@ fn check(connection: &Connection, path: &Path) -> rusqlite::Result<Result<(), Re
 }
 
 fn entries(connection: &Connection, running: bool) -> rusqlite::Result<Vec<JournalEntry>> {
-    let mut statement = connection.prepare("SELECT * FROM fault ORDER BY sequence")?;
+    let mut statement = connection.prepare(
+        "SELECT sequence, node, run.incarnation AS node_incarnation, id, code, kind, severity,
+             place, fault.incarnation AS incarnation, detail, count, symptom_of, measure AS action, given_up,
+             found_us, found_ns, recovered_us, recovered_ns, repaired_us, repaired_ns, ended,
+             run.run = (SELECT max(run) FROM run) AS is_last
+         FROM fault JOIN run USING (run) ORDER BY sequence",
+    )?;
     statement.query_map([], |row| entry(row, running))?.collect()
 }
 
@@ -194,11 +199,12 @@ fn entry(row: &Row<'_>, running: bool) -> rusqlite::Result<JournalEntry> {
     let recovered = moment("recovered_us", "recovered_ns")?;
     let repaired = moment("repaired_us", "repaired_ns")?;
     let given_up: Option<String> = row.get("given_up")?;
-    let (ended, code): (Option<String>, String) = (row.get("ended")?, row.get("code")?);
+    let (ended, is_last): (Option<String>, bool) = (row.get("ended")?, row.get("is_last")?);
+    let code: String = row.get("code")?;
     let status = match ended.as_deref() {
         _ if repaired.is_some() || code == NODE_ENDED => JournalStatus::Closed,
         Some(ended) if ended != ENDED_WITH_PROCESS => JournalStatus::EndedInOrder,
-        None if running => match (&recovered, &given_up) {
+        None if running && is_last => match (&recovered, &given_up) {
             (Some(_), _) => JournalStatus::Recovered,
             (None, Some(_)) => JournalStatus::GivenUp,
             (None, None) => JournalStatus::Open,
@@ -213,7 +219,7 @@ fn entry(row: &Row<'_>, running: bool) -> rusqlite::Result<JournalEntry> {
         code,
         kind: row.get("kind")?,
         severity: row.get("severity")?,
-        location: row.get("location")?,
+        location: row.get("place")?,
         incarnation: unsigned(row.get("incarnation")?),
         detail: row.get("detail")?,
         count: unsigned(row.get("count")?),

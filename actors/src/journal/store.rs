@@ -1,4 +1,4 @@
-//! The journal's database: its table, and what is written into it.
+//! The journal's database: its tables, and what is written into them.
 
 use super::WallTime;
 use crate::platform;
@@ -6,6 +6,7 @@ use blastema_core::{Fault, Incarnation, Instant, NodeName};
 use rusqlite::{Connection, ErrorCode, OpenFlags, Statement, Transaction, params};
 use std::fs::File;
 use std::io::Read;
+use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use std::time::Duration;
 
@@ -22,48 +23,54 @@ const BUSY: Duration = Duration::from_secs(2);
 
 /// "BlFJ": what the file is, in its header.
 pub(super) const APPLICATION: i32 = 0x426c_464a;
-/// Of the table below.
-pub(super) const VERSION: i32 = 2;
+/// Of the tables below.
+pub(super) const VERSION: i32 = 1;
 
-/// One row per fault. `ended` says how the node ended while the fault stood.
 const SCHEMA: &str = "
+    CREATE TABLE run (
+        run INTEGER PRIMARY KEY AUTOINCREMENT,
+        node TEXT NOT NULL,
+        incarnation INTEGER NOT NULL,
+        started_us INTEGER NOT NULL,
+        ended TEXT,
+        UNIQUE (node, incarnation)
+    );
     CREATE TABLE fault (
         sequence INTEGER PRIMARY KEY AUTOINCREMENT,
-        node TEXT NOT NULL,
-        node_incarnation INTEGER NOT NULL,
+        run INTEGER NOT NULL REFERENCES run,
         id INTEGER NOT NULL,
         code TEXT NOT NULL,
         kind TEXT NOT NULL,
         severity TEXT NOT NULL,
-        location TEXT NOT NULL,
+        place TEXT NOT NULL,
         incarnation INTEGER NOT NULL,
         detail TEXT NOT NULL,
         count INTEGER NOT NULL,
         symptom_of INTEGER,
         found_us INTEGER NOT NULL,
         found_ns INTEGER NOT NULL,
-        action TEXT,
+        measure TEXT,
         recovered_us INTEGER,
         recovered_ns INTEGER,
         repaired_us INTEGER,
         repaired_ns INTEGER,
         given_up TEXT,
-        ended TEXT,
-        UNIQUE (node, node_incarnation, id)
+        UNIQUE (run, id)
     );";
 
-/// Writes the row of a fault, or what is new into the row that it has.
-const PUT: &str = "INSERT INTO fault (node, node_incarnation, id, code, kind, severity, location,
-     incarnation, detail, count, symptom_of, found_us, found_ns, action, recovered_us, recovered_ns,
-     repaired_us, repaired_ns, given_up)
- VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18, ?19)
- ON CONFLICT (node, node_incarnation, id) DO UPDATE SET
-     location = excluded.location,
+/// Writes a line for a fault, or what is new into the line that it has.
+const PUT: &str =
+    "INSERT INTO fault (run, id, code, kind, severity, place, incarnation, detail, count,
+     symptom_of, found_us, found_ns, measure, recovered_us, recovered_ns, repaired_us,
+     repaired_ns, given_up)
+ VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18)
+ ON CONFLICT (run, id) DO UPDATE SET
+     place = excluded.place,
      incarnation = excluded.incarnation,
      detail = excluded.detail,
      count = excluded.count,
      symptom_of = excluded.symptom_of,
-     action = coalesce(excluded.action, action),
+     measure = coalesce(excluded.measure, measure),
      recovered_us = coalesce(recovered_us, excluded.recovered_us),
      recovered_ns = coalesce(recovered_ns, excluded.recovered_ns),
      repaired_us = coalesce(repaired_us, excluded.repaired_us),
@@ -71,28 +78,26 @@ const PUT: &str = "INSERT INTO fault (node, node_incarnation, id, code, kind, se
      given_up = CASE WHEN excluded.recovered_us IS NULL
          THEN coalesce(excluded.given_up, given_up) END";
 
-/// The end of a node as an entry of its own, after all of its faults: those are numbered from 1.
+/// The end of a run as an entry of its own, after all of its faults: those are numbered from 1.
 const PUT_END: &str = "INSERT INTO fault
-     (node, node_incarnation, id, code, kind, severity, location, incarnation, detail, count,
-      found_us, found_ns)
- VALUES (?1, ?2, 0, ?3, 'node ended', 'note', ?1, ?2, ?4, 1, ?5, ?6) ON CONFLICT DO NOTHING";
+     (run, id, code, kind, severity, place, incarnation, detail, count, found_us, found_ns)
+ SELECT run, 0, ?2, 'node ended', 'note', node, incarnation, ?3, 1, ?4, ?5 FROM run WHERE run = ?1
+ ON CONFLICT (run, id) DO NOTHING";
 
 /// The code of the entry that records when and why a node ended. No fault has this code.
 pub const NODE_ENDED: &str = "B00";
 
-/// The node ended, and its journal was closed.
+/// The node of the run ended, and its journal was closed.
 pub(super) const ENDED_IN_ORDER: &str = "in order";
-/// The node's process ended without a word.
+/// The process of the run ended without a word.
 pub(super) const ENDED_WITH_PROCESS: &str = "with the process";
 
 /// Why a journal cannot be written.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum StoreError {
     /// Its bytes are not what was written.
-    #[error("{0}")]
     Damaged(String),
     /// The disk, the file's permissions, or what stands there instead.
-    #[error("{0}")]
     Unwritable(String),
 }
 
@@ -132,6 +137,14 @@ pub(super) struct JournalRow {
     pub(super) given_up: Option<String>,
 }
 
+/// The incarnation of a node that writes the journal.
+#[derive(Clone, Debug)]
+pub(super) struct Author {
+    pub(super) node: NodeName,
+    pub(super) incarnation: Incarnation,
+    pub(super) started: WallTime,
+}
+
 /// How much a journal may hold.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct StoreLimits {
@@ -145,20 +158,22 @@ impl Default for StoreLimits {
     }
 }
 
-/// An open journal, which one incarnation of a node writes.
+/// An open journal, in one run of a node.
 #[derive(Debug)]
 pub(super) struct Store {
     connection: Connection,
-    node: String,
-    incarnation: i64,
+    run: i64,
     limits: StoreLimits,
+    /// Its device and its number there.
+    file: Option<(u64, u64)>,
 }
 
 impl Store {
-    /// Opens the journal, or makes it, for this incarnation of a node. All others have ended.
+    /// Opens the journal, or makes it, and goes on with the run of `author`. All other runs are
+    /// over.
     pub(super) fn open(
         path: &Path,
-        (node, incarnation): (&NodeName, Incarnation),
+        author: &Author,
         limits: StoreLimits,
     ) -> Result<Self, StoreError> {
         // From its bytes: SQLite tells nothing of a file that it finds damaged.
@@ -185,38 +200,50 @@ impl Store {
             transaction.execute_batch(SCHEMA)?;
             transaction.pragma_update(None, "user_version", VERSION)?;
         }
-        let (node, incarnation) = (node.to_string(), number(incarnation.0));
+        let (node, incarnation) = (author.node.as_str(), number(author.incarnation.0));
         transaction.execute(
-            "UPDATE fault SET ended = ?1
-             WHERE ended IS NULL AND NOT (node = ?2 AND node_incarnation = ?3)",
-            params![ENDED_WITH_PROCESS, node, incarnation],
+            "INSERT INTO run (node, incarnation, started_us) VALUES (?1, ?2, ?3)
+             ON CONFLICT (node, incarnation) DO NOTHING",
+            params![node, incarnation, author.started.as_micros()],
+        )?;
+        let run = transaction.query_row(
+            "SELECT run FROM run WHERE node = ?1 AND incarnation = ?2",
+            params![node, incarnation],
+            |row| row.get(0),
+        )?;
+        transaction.execute(
+            "UPDATE run SET ended = ?1 WHERE ended IS NULL AND run <> ?2",
+            params![ENDED_WITH_PROCESS, run],
         )?;
         transaction.commit()?;
-        Ok(Store { connection, node, incarnation, limits })
+        Ok(Store { connection, run, limits, file: identity(path) })
     }
 
-    /// Writes these rows, all or none.
-    pub(super) fn write(&mut self, rows: &[JournalRow]) -> Result<(), StoreError> {
-        if rows.is_empty() {
+    /// Whether the file is still at this path. SQLite goes on writing into one that was removed.
+    pub(super) fn is_at(&self, path: &Path) -> bool {
+        identity(path) == self.file
+    }
+
+    /// Writes these lines, all or none.
+    pub(super) fn write(&mut self, lines: &[JournalRow]) -> Result<(), StoreError> {
+        if lines.is_empty() {
             return Ok(());
         }
-        let author = (self.node.as_str(), self.incarnation);
         let transaction = self.connection.transaction()?;
         let mut statement = transaction.prepare(PUT)?;
-        rows.iter().try_for_each(|row| put(&mut statement, author, row))?;
+        lines.iter().try_for_each(|line| put(&mut statement, self.run, line))?;
         drop(statement);
-        trim(&transaction, self.limits.faults)?;
+        trim(&transaction, self.run, self.limits.faults)?;
         transaction.commit()?;
         Ok(())
     }
 
-    /// The node ends, for this reason.
+    /// The run ends, for this reason.
     pub(super) fn end(self, cause: &str, at: Moment) -> Result<(), StoreError> {
-        let ended = "UPDATE fault SET ended = ?1 WHERE ended IS NULL";
-        self.connection.execute(ended, params![ENDED_IN_ORDER])?;
+        let ended = "UPDATE run SET ended = ?1 WHERE run = ?2";
+        self.connection.execute(ended, params![ENDED_IN_ORDER, self.run])?;
         let (wall, monotonic) = (at.wall.as_micros(), number(at.monotonic.as_nanos()));
-        let (node, incarnation) = (self.node, self.incarnation);
-        let entry = params![node, incarnation, NODE_ENDED, shortened(cause), wall, monotonic];
+        let entry = params![self.run, NODE_ENDED, shortened(cause), wall, monotonic];
         self.connection.execute(PUT_END, entry)?;
         self.connection.close().map_err(|(_, error)| error.into())
     }
@@ -242,14 +269,19 @@ fn check(connection: &Connection, is_journal: bool) -> Result<(), StoreError> {
         }
     }
     let version = version_of(connection)?;
-    if version != 0 && version != VERSION {
-        return Err(foreign(&format!("of version {version}, and this program knows {VERSION}")));
+    if version > VERSION {
+        let what = format!("it has version {version}, and this program knows {VERSION}: update it");
+        return Err(StoreError::Unwritable(what));
     }
     let found: String = connection.query_row("PRAGMA quick_check(1)", [], |row| row.get(0))?;
     if found != "ok" {
         return Err(StoreError::Damaged(found));
     }
     Ok(())
+}
+
+fn identity(path: &Path) -> Option<(u64, u64)> {
+    std::fs::metadata(path).ok().map(|file| (file.dev(), file.ino()))
 }
 
 /// Whether the file's header says that it is a journal: see section 1.3 of SQLite's file format.
@@ -265,17 +297,12 @@ pub(super) fn version_of(connection: &Connection) -> rusqlite::Result<i32> {
     connection.pragma_query_value(None, "user_version", |row| row.get(0))
 }
 
-fn put(
-    statement: &mut Statement<'_>,
-    (node, incarnation): (&str, i64),
-    line: &JournalRow,
-) -> rusqlite::Result<()> {
+fn put(statement: &mut Statement<'_>, run: i64, line: &JournalRow) -> rusqlite::Result<()> {
     let fault = &line.fault;
     let wall = |moment: Option<Moment>| moment.map(|moment| moment.wall.as_micros());
     let monotonic = |moment: Option<Moment>| moment.map(|m| number(m.monotonic.as_nanos()));
     statement.execute(params![
-        node,
-        incarnation,
+        run,
         number(fault.id.0),
         fault.kind.code(),
         fault.kind.text(),
@@ -298,16 +325,21 @@ fn put(
 }
 
 /// Removes what is beyond the limit: of the faults that are over the oldest first, then of all.
-fn trim(transaction: &Transaction<'_>, limit: u32) -> rusqlite::Result<()> {
+fn trim(transaction: &Transaction<'_>, run: i64, limit: u32) -> rusqlite::Result<()> {
     let count: i64 = transaction.query_row("SELECT count(*) FROM fault", [], |row| row.get(0))?;
-    if count > i64::from(limit) {
-        transaction.execute(
-            "DELETE FROM fault WHERE sequence IN (
-                 SELECT sequence FROM fault
-                 ORDER BY ended IS NULL AND repaired_us IS NULL, sequence LIMIT ?1)",
-            params![count - i64::from(limit)],
-        )?;
+    if count <= i64::from(limit) {
+        return Ok(());
     }
+    transaction.execute(
+        "DELETE FROM fault WHERE sequence IN (
+             SELECT sequence FROM fault
+             ORDER BY run = ?1 AND repaired_us IS NULL, sequence LIMIT ?2)",
+        params![run, count - i64::from(limit)],
+    )?;
+    transaction.execute(
+        "DELETE FROM run WHERE run <> ?1 AND run NOT IN (SELECT run FROM fault)",
+        params![run],
+    )?;
     Ok(())
 }
 

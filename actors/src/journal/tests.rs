@@ -1,6 +1,7 @@
 //! Databases in a temporary folder, written by runs of invented nodes.
 
-use super::store::{JournalRow, Moment, Store, StoreError, StoreLimits};
+use super::lock::JournalLock;
+use super::store::{Author, JournalRow, Moment, Store, StoreError, StoreLimits};
 use super::writer::set_aside;
 use super::{JournalEntry, JournalStatus, NODE_ENDED, ReadError, WallTime, read};
 use crate::platform::file_lock::{FileLock, LockError};
@@ -20,25 +21,25 @@ fn node(name: &str) -> NodeName {
     NodeName::new(name).unwrap()
 }
 
-fn open_within(path: &Path, incarnation: u64, limits: StoreLimits) -> Result<Store, StoreError> {
-    Store::open(path, (&node("a"), Incarnation(incarnation)), limits)
-}
-
-fn try_open(path: &Path, incarnation: u64) -> Result<Store, StoreError> {
-    open_within(path, incarnation, StoreLimits::default())
+fn author(name: &str, incarnation: u64) -> Author {
+    let started = WallTime::from_micros(1_000_000);
+    Author { node: node(name), incarnation: Incarnation(incarnation), started }
 }
 
 fn open(path: &Path, incarnation: u64) -> Store {
-    try_open(path, incarnation).unwrap()
+    Store::open(path, &author("a", incarnation), StoreLimits::default()).unwrap()
 }
 
-fn locked(path: &Path, name: &str) -> Result<FileLock, LockError> {
-    FileLock::acquire(path, &node(name))
+fn locked(path: &Path, name: &str) -> Result<JournalLock, LockError> {
+    FileLock::acquire(path, &node(name)).map(JournalLock::new)
 }
 
-/// The next run of the node.
-fn run(path: &Path, incarnation: u64) -> (FileLock, Store) {
-    (locked(path, "a").unwrap(), open(path, incarnation))
+/// The next run of the node, once it has marked the others as ended.
+fn run(path: &Path, incarnation: u64) -> (JournalLock, Store) {
+    let lock = locked(path, "a").unwrap();
+    let store = open(path, incarnation);
+    lock.begin_run().unwrap();
+    (lock, store)
 }
 
 fn moment(millis: u64, wall: i64) -> Moment {
@@ -120,6 +121,24 @@ fn open_faults_of_a_run_that_is_over_are_not_open() {
 }
 
 #[test]
+fn faults_of_a_killed_process_are_not_open_while_the_next_one_begins() {
+    let (_folder, path) = journal();
+    let (lock, mut first) = run(&path, 1);
+    first.write(&[line(1, moment(1, 1))]).unwrap();
+    assert_eq!(statuses(&path), [(1, JournalStatus::Open)]);
+    drop((first, lock));
+
+    let lock = locked(&path, "a").unwrap();
+    let ended = [(1, JournalStatus::EndedWithProcess)];
+    assert_eq!(statuses(&path), ended, "the next process has not opened the file yet");
+    let mut second = open(&path, 2);
+    lock.begin_run().unwrap();
+    assert_eq!(statuses(&path), ended);
+    second.write(&[line(1, moment(2, 2))]).unwrap();
+    assert_eq!(statuses(&path), [ended[0], (1, JournalStatus::Open)]);
+}
+
+#[test]
 fn a_wall_clock_that_is_set_back_changes_no_order_and_no_span() {
     let (_folder, path) = journal();
     let mut store = open(&path, 1);
@@ -139,7 +158,7 @@ fn a_wall_clock_that_is_set_back_changes_no_order_and_no_span() {
 fn the_oldest_faults_that_are_over_make_room() {
     let (_folder, path) = journal();
     let limits = StoreLimits { faults: 3, ..StoreLimits::default() };
-    let mut store = open_within(&path, 1, limits).unwrap();
+    let mut store = Store::open(&path, &author("a", 1), limits).unwrap();
     let repaired = Some(moment(9, 9));
     store.write(&[line(1, moment(1, 1)), line(2, moment(2, 2))]).unwrap();
     store.write(&[JournalRow { repaired, ..line(2, moment(2, 2)) }]).unwrap();
@@ -155,7 +174,7 @@ fn the_oldest_faults_that_are_over_make_room() {
 fn a_file_that_is_full_keeps_what_it_has_and_says_so() {
     let (_folder, path) = journal();
     let limits = StoreLimits { pages: 12, ..StoreLimits::default() };
-    let mut store = open_within(&path, 1, limits).unwrap();
+    let mut store = Store::open(&path, &author("a", 1), limits).unwrap();
     let mut long = line(1, moment(1, 1));
     long.fault.detail = "x".repeat(5_000);
     let mut written = 0;
@@ -186,7 +205,7 @@ fn a_damaged_file_is_known_as_such_and_can_be_set_aside() {
     cut_in_a_page.truncate(5000);
     for bytes in [spoilt, pages_gone, cut, cut_in_a_page] {
         fs::write(&path, &bytes).unwrap();
-        let error = try_open(&path, 2).unwrap_err();
+        let error = Store::open(&path, &author("a", 2), StoreLimits::default()).unwrap_err();
         assert!(matches!(error, StoreError::Damaged(_)), "{error:?}");
 
         let aside = set_aside(&path).unwrap();
@@ -204,7 +223,7 @@ fn a_file_that_no_journal_wrote_is_left_alone() {
     for bytes in [text, b"short".to_vec(), image] {
         fs::write(&path, &bytes).unwrap();
 
-        let error = try_open(&path, 2).unwrap_err();
+        let error = Store::open(&path, &author("a", 2), StoreLimits::default()).unwrap_err();
 
         let StoreError::Unwritable(reason) = error else { panic!("{error:?}") };
         assert!(reason.contains("give the journal another path"), "{reason}");
@@ -218,7 +237,7 @@ fn a_database_of_another_program_or_a_newer_one_is_left_alone() {
     let foreign = rusqlite::Connection::open(&path).unwrap();
     foreign.execute_batch("CREATE TABLE song (name TEXT)").unwrap();
     let refused = |path: &Path| {
-        let error = try_open(path, 1).unwrap_err();
+        let error = Store::open(path, &author("a", 1), StoreLimits::default()).unwrap_err();
         let StoreError::Unwritable(reason) = error else { panic!("{error:?}") };
         reason
     };
@@ -229,8 +248,8 @@ fn a_database_of_another_program_or_a_newer_one_is_left_alone() {
 
     drop(open(&path, 1));
     let newer = rusqlite::Connection::open(&path).unwrap();
-    newer.pragma_update(None, "user_version", 3).unwrap();
-    assert!(refused(&path).contains("version 3"));
+    newer.pragma_update(None, "user_version", 2).unwrap();
+    assert!(refused(&path).contains("version 2"));
     assert!(matches!(read(&path), Err(ReadError::NoJournal { .. })));
     fs::write(&path, "no database at all, but a text of some length").unwrap();
     assert!(matches!(read(&path), Err(ReadError::NoJournal { .. })));

@@ -1,9 +1,9 @@
 //! The journal's thread, and the actor that gives it work.
 
-use super::store::{JournalRow, Moment, Store, StoreError, StoreLimits};
+use super::lock::JournalLock;
+use super::store::{Author, JournalRow, Moment, Store, StoreError, StoreLimits};
 use crate::platform;
 use crate::platform::file_lock::{FileLock, beside};
-use crate::platform::write_queue::{QueueRefusal, WriteQueue};
 use crate::runtime::guardian::answers_the_monitor;
 use crate::runtime::reports::FaultReports;
 use actix::prelude::*;
@@ -11,7 +11,7 @@ use blastema_contract::detector::{FaultEvent, ReadRecord};
 use blastema_core::detection::{FaultEntry, FaultTransition};
 use blastema_core::{Incarnation, Instant, NodeName};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use std::{fs, io};
@@ -20,7 +20,10 @@ use std::{fs, io};
 pub(crate) const JOURNAL: &str = "chain/journal";
 /// Steps that may wait for the disk: a storm of a few seconds at the notifier's own limit.
 const QUEUE: usize = 1024;
+/// Steps in one transaction: each costs one sync of the disk, however many steps it holds.
+const BATCH: usize = 256;
 /// From a failed write, or a full queue, to the next attempt. A disk does not become empty sooner.
+/// A file that is removed is noticed as soon.
 const RETRY: Duration = Duration::from_secs(5);
 /// How long the end of a node waits for the last steps: a slow disk must not hold a robot's
 /// shutdown.
@@ -28,22 +31,33 @@ const LAST_STEPS: Duration = Duration::from_secs(2);
 /// So many damaged files are kept; the last one is replaced by the next.
 const SET_ASIDE_MAX: u32 = 8;
 
+/// Work for the thread.
+enum Work {
+    /// One step of a fault, or all that the node remembers.
+    Lines { lines: Vec<JournalRow>, whole: bool },
+    /// The node ends.
+    End,
+}
+
 /// What the thread has done.
 #[derive(Debug, Message)]
 #[rtype(result = "()")]
 enum Wrote {
     /// All work so far is on the disk.
-    Done,
+    Done {
+        /// With the node's whole record.
+        whole: bool,
+    },
     /// It is not.
     Failed(String),
-    /// It is, in a new file: the one before was damaged.
+    /// It is, in a new file: the one before was damaged, or is not there any more.
     BeganAgain(String),
 }
 
 /// Hands every step of every fault to the journal's thread.
 pub(crate) struct JournalActor {
     path: PathBuf,
-    queue: WriteQueue<JournalRow>,
+    queue: SyncSender<Work>,
     record: Recipient<ReadRecord>,
     reports: FaultReports,
     /// Steps are missing in the journal: the whole record is to be written.
@@ -58,7 +72,7 @@ pub(crate) struct JournalActor {
 
 /// Ends the thread when dropped, once it has written what it was given.
 pub(crate) struct JournalGuard {
-    queue: WriteQueue<JournalRow>,
+    queue: SyncSender<Work>,
     /// Why the node ends, once it does.
     ends: Arc<OnceLock<String>>,
     ended: Receiver<()>,
@@ -74,7 +88,8 @@ impl JournalGuard {
 
 impl Drop for JournalGuard {
     fn drop(&mut self) {
-        self.queue.close();
+        // If the queue is full, the thread sees `ends` when it has written all of it.
+        let _ = self.queue.try_send(Work::End);
         let _ = self.ended.recv_timeout(LAST_STEPS);
     }
 }
@@ -82,15 +97,13 @@ impl Drop for JournalGuard {
 /// What the thread owns.
 struct Writer {
     path: PathBuf,
-    node: NodeName,
-    incarnation: Incarnation,
-    queue: WriteQueue<JournalRow>,
+    author: Author,
+    work: Receiver<Work>,
     ends: Arc<OnceLock<String>>,
     /// Dropped at the end, which the guard waits for.
     ended: SyncSender<()>,
     /// Given back at the end.
-    lock: Option<FileLock>,
-    store: Option<Store>,
+    lock: Option<JournalLock>,
 }
 
 impl JournalActor {
@@ -98,18 +111,17 @@ impl JournalActor {
     /// yet.
     pub(crate) fn new(
         path: PathBuf,
-        lock: Option<FileLock>,
+        lock: Option<JournalLock>,
         (node, incarnation): (NodeName, Incarnation),
         record: Recipient<ReadRecord>,
         reports: FaultReports,
     ) -> (Self, JournalGuard) {
-        let queue = WriteQueue::new(QUEUE);
+        let (queue, work) = sync_channel(QUEUE);
         let (ended, awaited) = sync_channel(1);
         let ends = Arc::<OnceLock<String>>::default();
         let guard = JournalGuard { queue: queue.clone(), ends: ends.clone(), ended: awaited };
-        let (of, work) = (path.clone(), queue.clone());
-        let thread =
-            Writer { path: of, node, incarnation, queue: work, ends, ended, lock, store: None };
+        let author = Author { node, incarnation, started: platform::wall_clock() };
+        let thread = Writer { path: path.clone(), author, work, ends, ended, lock };
         let actor = JournalActor {
             path,
             queue,
@@ -123,14 +135,11 @@ impl JournalActor {
         (actor, guard)
     }
 
-    fn hand_over(
-        &mut self,
-        rows: impl IntoIterator<Item = JournalRow>,
-        context: &mut Context<Self>,
-    ) {
-        // After the node's end nothing is written any more.
-        if self.queue.push(rows) == Err(QueueRefusal::Full) {
-            self.fall_behind(context);
+    fn hand_over(&mut self, work: Work, context: &mut Context<Self>) {
+        match self.queue.try_send(work) {
+            // After the node's end nothing is written any more.
+            Ok(()) | Err(TrySendError::Disconnected(_)) => {}
+            Err(TrySendError::Full(_)) => self.fall_behind(context),
         }
     }
 
@@ -150,8 +159,8 @@ impl JournalActor {
             // Steps that come from here on are newer than the record, and follow it in the queue.
             actor.behind = false;
             let now = Moment::now();
-            let rows = record.entries.into_iter().map(|entry| now.row_of_entry(entry));
-            actor.hand_over(rows, context);
+            let lines = record.entries.into_iter().map(|entry| now.line_of_entry(entry));
+            actor.hand_over(Work::Lines { lines: lines.collect(), whole: true }, context);
         }));
     }
 
@@ -193,7 +202,8 @@ impl Handler<FaultEvent> for JournalActor {
 
     fn handle(&mut self, event: FaultEvent, context: &mut Context<Self>) {
         if !self.behind {
-            self.hand_over([Moment::now().row_of_event(event)], context);
+            let lines = vec![Moment::now().line_of_event(event)];
+            self.hand_over(Work::Lines { lines, whole: false }, context);
         }
     }
 }
@@ -203,9 +213,8 @@ impl Handler<Wrote> for JournalActor {
 
     fn handle(&mut self, message: Wrote, context: &mut Context<Self>) {
         match message {
-            Wrote::Done => {
-                // The whole record was handed over, and is on the disk.
-                if !self.behind && std::mem::replace(&mut self.failed, false) {
+            Wrote::Done { whole } => {
+                if whole && std::mem::replace(&mut self.failed, false) {
                     self.reports.clear(JOURNAL);
                 }
             }
@@ -219,32 +228,32 @@ impl Handler<Wrote> for JournalActor {
     }
 }
 
-/// The rows of faults, as they are written at this moment.
+/// The lines of faults, as they are written at this moment.
 impl Moment {
     /// An instant of the monotonic clock, with the wall clock's time by its present setting.
     fn of(&self, at: Instant) -> Moment {
         Moment { monotonic: at, wall: self.wall.before(self.monotonic - at) }
     }
 
-    fn row_of_event(&self, event: FaultEvent) -> JournalRow {
+    fn line_of_event(&self, event: FaultEvent) -> JournalRow {
         let FaultEvent { fault, at, turn } = event;
         let at = self.of(at);
         let over = fault.is_repaired_by_recovery();
-        let mut row = self.blank(fault);
+        let mut line = self.blank(fault);
         match turn {
-            FaultTransition::Decided { action } => row.action = Some(action),
+            FaultTransition::Decided { action } => line.action = Some(action),
             FaultTransition::Recovered => {
-                row.recovered = Some(at);
-                row.repaired = over.then_some(at);
+                line.recovered = Some(at);
+                line.repaired = over.then_some(at);
             }
-            FaultTransition::Cleared => row.repaired = Some(at),
-            FaultTransition::GaveUp { reason } => row.given_up = Some(reason),
+            FaultTransition::Cleared => line.repaired = Some(at),
+            FaultTransition::GaveUp { reason } => line.given_up = Some(reason),
             _ => {}
         }
-        row
+        line
     }
 
-    fn row_of_entry(&self, entry: FaultEntry) -> JournalRow {
+    fn line_of_entry(&self, entry: FaultEntry) -> JournalRow {
         let FaultEntry { fault, decided, recovered_at, repaired_at, given_up, .. } = entry;
         JournalRow {
             action: decided.map(|(_, action)| action),
@@ -263,49 +272,105 @@ impl Moment {
 
 impl Writer {
     fn run(mut self, recipient: &Recipient<Wrote>) {
-        // Opened at once, so that faults of earlier runs are marked as ended before this one's first.
-        let mut work = Some(Vec::new());
-        while let Some(rows) = work {
-            recipient.do_send(match self.write(&rows, recipient) {
-                Ok(()) => Wrote::Done,
+        let mut store = None;
+        // Opened at once, so that an earlier run is marked as ended before this one's first fault.
+        let mut result = self.write(&mut store, &[], recipient);
+        let mut whole = false;
+        loop {
+            recipient.do_send(match result {
+                Ok(()) => Wrote::Done { whole },
                 Err(reason) => Wrote::Failed(reason),
             });
-            work = self.queue.take();
+            // A queue that was full when the node ended holds no `Work::End`.
+            let timeout = if self.ends.get().is_some() { Duration::ZERO } else { RETRY };
+            let first = match self.work.recv_timeout(timeout) {
+                Ok(first) => first,
+                Err(RecvTimeoutError::Timeout) if self.ends.get().is_none() => {
+                    whole = false;
+                    result = self.write(&mut store, &[], recipient);
+                    continue;
+                }
+                Err(_) => break,
+            };
+            whole = false;
+            let mut lines = Vec::new();
+            let mut over = self.gather(first, &mut lines, &mut whole);
+            while lines.len() < BATCH && !over {
+                let Ok(next) = self.work.try_recv() else { break };
+                over = self.gather(next, &mut lines, &mut whole);
+            }
+            result = self.write(&mut store, &lines, recipient);
+            if over {
+                break;
+            }
         }
-        if let (Some(store), Some(cause)) = (self.store, self.ends.get()) {
+        if let (Some(store), Some(cause)) = (store, self.ends.get()) {
             // What cannot be written now shows as the end of the process.
             let _ = store.end(cause, Moment::now());
         }
         drop((self.lock, self.ended));
     }
 
-    fn write(&mut self, rows: &[JournalRow], recipient: &Recipient<Wrote>) -> Result<(), String> {
-        let reason = match self.try_write(rows) {
-            Err(StoreError::Damaged(reason)) => reason,
-            written => return written.map_err(|error| error.to_string()),
+    /// Takes a piece of work apart. Answers whether it was the last.
+    fn gather(&self, work: Work, gathered: &mut Vec<JournalRow>, is_whole: &mut bool) -> bool {
+        let Work::Lines { lines, whole } = work else { return true };
+        *is_whole |= whole;
+        gathered.extend(lines);
+        false
+    }
+
+    fn write(
+        &mut self,
+        store: &mut Option<Store>,
+        lines: &[JournalRow],
+        recipient: &Recipient<Wrote>,
+    ) -> Result<(), String> {
+        let removed = store.take_if(|store| !store.is_at(&self.path)).is_some();
+        if removed {
+            // Its folder may be new as well, and its log belongs to no file.
+            self.lock = None;
+            logs(&self.path).iter().for_each(|log| drop(fs::remove_file(log)));
+        }
+        let again = match self.open(store).and_then(|store| store.write(lines)) {
+            Ok(()) if removed => "was removed, or is another file".to_owned(),
+            Ok(()) => return Ok(()),
+            Err(StoreError::Unwritable(reason)) => return Err(reason),
+            Err(StoreError::Damaged(reason)) => {
+                *store = None;
+                let aside = set_aside(&self.path).map_err(|error| {
+                    format!("it is damaged ({reason}), and cannot be set aside: {error}")
+                })?;
+                let fresh = self.open(store).and_then(|store| store.write(lines));
+                fresh.map_err(|error| match error {
+                    StoreError::Damaged(reason) | StoreError::Unwritable(reason) => reason,
+                })?;
+                format!("was damaged ({reason}): it is set aside as {}", aside.display())
+            }
         };
-        self.store = None;
-        let aside = set_aside(&self.path).map_err(|error| {
-            format!("it is damaged ({reason}), and cannot be set aside: {error}")
-        })?;
-        self.try_write(rows).map_err(|error| error.to_string())?;
-        let (path, aside) = (self.path.display(), aside.display());
-        recipient.do_send(Wrote::BeganAgain(format!(
-            "the journal {path} was damaged ({reason}): it is set aside as {aside}, and begins again"
-        )));
+        let detail = format!("the journal {} {again}, and begins again", self.path.display());
+        recipient.do_send(Wrote::BeganAgain(detail));
         Ok(())
     }
 
-    fn try_write(&mut self, rows: &[JournalRow]) -> Result<(), StoreError> {
-        if self.lock.is_none() {
-            let lock = FileLock::acquire(&self.path, &self.node);
-            self.lock = Some(lock.map_err(|error| StoreError::Unwritable(error.to_string()))?);
-        }
-        if self.store.is_none() {
-            let author = (&self.node, self.incarnation);
-            self.store = Some(Store::open(&self.path, author, StoreLimits::default())?);
-        }
-        self.store.iter_mut().try_for_each(|store| store.write(rows))
+    fn open<'a>(&mut self, store: &'a mut Option<Store>) -> Result<&'a mut Store, StoreError> {
+        let open = match store.take() {
+            Some(open) => open,
+            None => {
+                let lock = match self.lock.take() {
+                    Some(lock) => lock,
+                    None => FileLock::acquire(&self.path, &self.author.node)
+                        .map(JournalLock::new)
+                        .map_err(|error| StoreError::Unwritable(error.to_string()))?,
+                };
+                let lock = self.lock.insert(lock);
+                let open = Store::open(&self.path, &self.author, StoreLimits::default())?;
+                lock.begin_run().map_err(|error| {
+                    StoreError::Unwritable(format!("the lock of its run: {error}"))
+                })?;
+                open
+            }
+        };
+        Ok(store.insert(open))
     }
 }
 

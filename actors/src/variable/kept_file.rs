@@ -9,7 +9,6 @@
 
 use crate::platform::file_lock::{FileLock, beside};
 use crate::platform::replace_file::replace_file;
-use crate::platform::write_queue::{QueueRefusal, WriteQueue};
 use crate::platform::{self, lock};
 use blastema_core::DeliveryError;
 use blastema_core::contract::codec;
@@ -18,7 +17,7 @@ use crc::{CRC_32_ISCSI, Crc};
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 static CHECK: Crc<u32> = Crc::<u32>::new(&CRC_32_ISCSI);
 const MAGIC: &[u8] = b"blastema-variables 1\n";
@@ -75,13 +74,26 @@ pub(super) type WriteDone = Box<dyn FnOnce(Result<(), String>) + Send>;
 
 /// Writes the file on a thread of its own: of several changes that come while it writes, all are in
 /// the next file. Closed or dropped, it writes what was given to it, gives the lock back, and ends.
-pub(super) struct PersistenceFile {
-    queue: WriteQueue<WriteDone>,
-    /// What is to be written next.
-    newest: Newest,
+pub(super) struct PersistenceFile(Arc<Shared>);
+
+struct Shared {
+    order: Mutex<Order>,
+    changed: Condvar,
 }
 
-type Newest = Arc<Mutex<Vec<PersistedValue>>>;
+#[derive(Default)]
+struct Order {
+    values: Option<Vec<PersistedValue>>,
+    /// Who waits for that.
+    waiting: Vec<WriteDone>,
+    ended: bool,
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, Order> {
+        lock(&self.order)
+    }
+}
 
 impl PersistenceFile {
     /// The lock is `None` where the file's folder cannot be written. `failed` is told when the file
@@ -91,35 +103,38 @@ impl PersistenceFile {
         lock: Option<FileLock>,
         failed: impl Fn(String) + Send + 'static,
     ) -> io::Result<Self> {
-        let (queue, newest) = (WriteQueue::new(WAITING_MAX), Newest::default());
-        let (work, values) = (queue.clone(), newest.clone());
+        let shared =
+            Arc::new(Shared { order: Mutex::new(Order::default()), changed: Condvar::new() });
+        let kept = shared.clone();
         platform::start_thread("variables", move || {
-            write_when_told(&path, &work, &values, failed);
+            write_when_told(&path, &kept, failed);
             drop(lock);
         })?;
-        Ok(PersistenceFile { queue, newest })
+        Ok(PersistenceFile(shared))
     }
 
     /// Whether it takes one more change.
     pub(super) fn check(&self) -> Result<(), DeliveryError> {
-        self.queue.check().map_err(|refusal| match refusal {
-            QueueRefusal::Full => DeliveryError::Full,
-            QueueRefusal::Closed => {
-                DeliveryError::NotKept { reason: "the node has ended".to_owned() }
-            }
-        })
+        let order = self.0.lock();
+        match order.ended {
+            true => Err(DeliveryError::NotKept { reason: "the node has ended".to_owned() }),
+            false if order.waiting.len() < WAITING_MAX => Ok(()),
+            false => Err(DeliveryError::Full),
+        }
     }
 
     /// Takes no change any more.
     pub(super) fn close(&self) {
-        self.queue.close();
+        self.0.lock().ended = true;
+        self.0.changed.notify_one();
     }
 
-    /// Keeps these values, which it was [asked](Self::check) for.
     pub(super) fn keep(&self, values: Vec<PersistedValue>, then: WriteDone) {
-        // Where the node has ended since, `then` is dropped, and its caller is told.
-        *lock(&self.newest) = values;
-        let _ = self.queue.push([then]);
+        let mut order = self.0.lock();
+        order.values = Some(values);
+        order.waiting.push(then);
+        drop(order);
+        self.0.changed.notify_one();
     }
 }
 
@@ -129,15 +144,16 @@ impl Drop for PersistenceFile {
     }
 }
 
-fn write_when_told(
-    path: &Path,
-    work: &WriteQueue<WriteDone>,
-    newest: &Newest,
-    failed: impl Fn(String),
-) {
+fn write_when_told(path: &Path, shared: &Shared, failed: impl Fn(String)) {
     let mut failing = false;
-    while let Some(waiting) = work.take() {
-        let values = lock(newest).clone();
+    loop {
+        let mut order = shared.lock();
+        while order.values.is_none() && !order.ended {
+            order = shared.changed.wait(order).unwrap_or_else(PoisonError::into_inner);
+        }
+        let Some(values) = order.values.take() else { return };
+        let waiting = std::mem::take(&mut order.waiting);
+        drop(order);
         let saved = save(path, &values).map_err(|error| error.to_string());
         if let Err(error) = &saved
             && !std::mem::replace(&mut failing, true)

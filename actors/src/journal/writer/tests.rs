@@ -1,6 +1,6 @@
 //! The journal's actor and its thread, on files in a temporary folder.
 
-use super::super::{NODE_ENDED, read};
+use super::super::{JournalStatus, NODE_ENDED, read};
 use super::*;
 use crate::platform::file_lock::FileLock;
 use actix::dev::{MessageResponse, OneshotSender};
@@ -44,7 +44,7 @@ impl Handler<ReadRecord> for Record {
 fn journal(path: &Path, requests: &Arc<AtomicU32>) -> (JournalActor, JournalGuard) {
     let (mut actor, guard) = without_lock(path, requests);
     let thread = actor.thread.as_mut().unwrap();
-    thread.lock = Some(FileLock::acquire(path, &thread.node).unwrap());
+    thread.lock = Some(JournalLock::new(FileLock::acquire(path, &thread.author.node).unwrap()));
     (actor, guard)
 }
 
@@ -103,11 +103,12 @@ mod real {
             let (mut actor, guard) = without_lock(&path, &Arc::default());
             let mut thread = actor.thread.take().unwrap();
             let recipient = actor.start().recipient();
-            let refused = thread.write(&[step(1)], &recipient).unwrap_err();
+            let mut store = None;
+            let refused = thread.write(&mut store, &[step(1)], &recipient).unwrap_err();
             assert!(refused.contains("No such file"), "{refused}");
 
             fs::create_dir(folder.path().join("later")).unwrap();
-            thread.write(&[step(1)], &recipient).unwrap();
+            thread.write(&mut store, &[step(1)], &recipient).unwrap();
 
             assert_eq!(written(&path), [1]);
             let other = NodeName::new("b").unwrap();
@@ -117,16 +118,53 @@ mod real {
     }
 
     #[test]
+    fn a_journal_that_is_removed_begins_again_with_the_whole_record() {
+        let _turn = blastema_doubles::turn();
+        for with_folder in [false, true] {
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("kept/faults");
+            fs::create_dir(folder.path().join("kept")).unwrap();
+            let requests = Arc::<AtomicU32>::default();
+            paused(async {
+                let (mut actor, guard) = journal(&path, &requests);
+                let mut thread = actor.thread.take().unwrap();
+                let recipient = actor.start().recipient();
+                let mut store = None;
+                thread.write(&mut store, &[step(1), step(2)], &recipient).unwrap();
+
+                match with_folder {
+                    false => fs::remove_file(&path).unwrap(),
+                    true => {
+                        fs::remove_dir_all(folder.path().join("kept")).unwrap();
+                        fs::create_dir(folder.path().join("kept")).unwrap();
+                    }
+                }
+                // As it does every five seconds, also without a fault.
+                thread.write(&mut store, &[], &recipient).unwrap();
+                advance(RETRY).await;
+                assert_eq!(requests.load(Relaxed), 1, "the actor reads the whole record");
+                thread.write(&mut store, &[step(2)], &recipient).unwrap();
+
+                assert_eq!(written(&path), [2]);
+                assert_eq!(read(&path).unwrap()[0].status, JournalStatus::Open);
+                drop((thread, guard));
+            });
+        }
+    }
+
+    #[test]
     fn the_thread_ends_with_its_node_though_its_queue_was_full() {
         let _turn = blastema_doubles::turn();
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("faults");
         paused(async {
             let (mut actor, guard) = journal(&path, &Arc::default());
-            actor.queue.push((1..=QUEUE as u64).map(step)).unwrap();
-            assert_eq!(actor.queue.push([step(0)]), Err(QueueRefusal::Full));
+            for id in 1..=QUEUE as u64 {
+                let step = Work::Lines { lines: vec![step(id)], whole: false };
+                assert!(actor.queue.try_send(step).is_ok());
+            }
             guard.ends.set("a test".to_owned()).unwrap();
-            guard.queue.close();
+            assert!(matches!(actor.queue.try_send(Work::End), Err(TrySendError::Full(_))));
 
             let thread = actor.thread.take().unwrap();
             let recipient = actor.start().recipient();

@@ -1,7 +1,7 @@
 //! The journal of faults as a part of the node.
 
 use super::{NodeAssembly, middleware, named};
-use crate::journal::{JOURNAL, JournalActor};
+use crate::journal::{JOURNAL, JournalActor, JournalLock};
 use crate::node::error::StartError;
 use crate::platform::file_lock::{FileLock, LockError, without_links};
 use actix::prelude::*;
@@ -15,7 +15,7 @@ impl NodeAssembly {
         let name = named(JOURNAL);
         let reports = self.node.environment.reports.clone();
         let lock = match FileLock::acquire_after_predecessor(&path, &self.node.name).await {
-            Ok(lock) => Some(lock),
+            Ok(lock) => Some(JournalLock::new(lock)),
             Err(error @ LockError::InUse { .. }) => {
                 return Err(StartError::of_path("journal", &path, error.to_string()));
             }
