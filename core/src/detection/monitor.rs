@@ -147,7 +147,7 @@ impl Monitor {
         if self.objects.get(object).is_some_and(is_older)
             && matches!(exit, ExitReason::Panicked { .. })
         {
-            // That it panicked is reported in every case; of the present incarnation it says
+            // That it panicked is reported all the same; of the present incarnation it says
             // nothing.
             let finding = Finding::Exited { exit, restarted_as };
             return self.observe_object(object, incarnation, finding, now);

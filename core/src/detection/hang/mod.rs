@@ -11,7 +11,7 @@
 //! victims. What a victim suffers is reported after its root. Where the thread itself waits for a
 //! processor, and runs for less than two thirds of the time, it is the computer that is overloaded:
 //! such a thread says nothing about its components. An overload stands until nothing was late
-//! because of it for a while.
+//! because of it for a while, by half of the limits that it exceeded.
 //!
 //! A handler that keeps its thread is charged the time for which the thread was run, where it is
 //! ready to run: all of it, however late the looks come, and nothing else. Everything else is
