@@ -512,10 +512,8 @@ impl NodeAssembly {
         self.node.environment.declare_complaints();
         let node = Node(Arc::new(self.node));
         node.0.policies.iter().for_each(|policy| policy.attach(&node));
-        {
-            order::serve_operators(&node);
-            node.stop_if_displaced();
-        }
+        order::serve_operators(&node);
+        node.stop_if_displaced();
         node
     }
 }

@@ -23,6 +23,8 @@ use tracing::{info, warn};
 
 /// Processes of the owner may connect, and no others.
 const MODE: u32 = 0o600;
+/// From a failed attempt to make the socket again to the next.
+const RETRY: Duration = Duration::from_secs(5);
 /// Root may connect as well. It can read the node's memory and its files in any case.
 const ROOT: u32 = 0;
 /// Clients that are served at once; further ones wait in the listen backlog, in order. A snapshot
@@ -91,6 +93,20 @@ impl InspectionActor {
     }
 }
 
+impl InspectionActor {
+    /// Makes the socket after a panic; what hinders that is a fault until it is over.
+    fn show_again(&mut self, context: &mut Context<Self>) {
+        match self.show(context) {
+            Ok(()) => self.reports.clear("inspection"),
+            Err(reason) => {
+                let detail = format!("the node is not shown any more: {reason}");
+                self.reports.declare("inspection", detail);
+                context.run_later(RETRY, |actor, context| actor.show_again(context));
+            }
+        }
+    }
+}
+
 answers_the_monitor!(InspectionActor);
 
 impl Actor for InspectionActor {
@@ -100,10 +116,7 @@ impl Actor for InspectionActor {
 impl Supervised for InspectionActor {
     /// What showed the node went with the panic, and the socket with it: it is made again.
     fn restarting(&mut self, context: &mut Context<Self>) {
-        if let Err(reason) = self.show(context) {
-            let detail = format!("the node is not shown any more: {reason}");
-            self.reports.declare("inspection", detail);
-        }
+        self.show_again(context);
     }
 }
 

@@ -211,8 +211,7 @@ impl Node {
     /// Returns the topics used by objects of this node, with their publishers, listeners and rates.
     pub fn topics(&self) -> Vec<TopicRow> {
         let rows = self.0.environment.topics().rows();
-        let rows = rows.into_iter().map(|row| self.with_publishing_nodes(row)).collect();
-        rows
+        rows.into_iter().map(|row| self.with_publishing_nodes(row)).collect()
     }
 
     /// Commands the actuator of this name, here or on another node, under the name `own`. The lease

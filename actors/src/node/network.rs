@@ -143,7 +143,8 @@ impl Network {
         Network { endpoint: endpoint.to_owned(), insecure, ..Network::over(name, medium) }
     }
 
-    /// A medium of the application's own.
+    /// A medium of the application's own. Its links have addresses of its own writing
+    /// (`MediumAddress::Own`).
     pub fn own(name: &str, medium: impl FrameMedium) -> Self {
         let (medium_name, reach) = (medium.name(), medium.reach());
         let make = Box::new(|| FrameTransport::new(medium));

@@ -2,6 +2,7 @@
 
 use super::traffic::Traffic;
 use super::{Latched, RemoteForward, Times, Topic, TopicKey, TopicRow, lock, nanos};
+use crate::messaging::message_log;
 use crate::platform;
 use crate::platform::panics;
 use crate::registry::encoding::read_result;
@@ -99,6 +100,7 @@ impl<E: Event> AnyTopic for Topic<E> {
                 let captured_at = now.as_nanos().saturating_sub(nanos(age));
                 let captured_at = Some(Instant::from_nanos(captured_at));
                 self.traffic.count();
+                message_log::sent(E::NAME, &self.key.topic, String::new);
                 let times = Times { posted_at: now, captured_at };
                 self.hand_out(event, times, true, self.lock_latch());
                 Ok(())

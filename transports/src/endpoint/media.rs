@@ -13,7 +13,7 @@ pub(super) const MEDIA: [KnownMedium; 7] = [
     ("serial", "serial", cfg!(feature = "serial")),
     ("can", "can", cfg!(feature = "can")),
     ("slcan", "slcan", cfg!(feature = "slcan")),
-    ("memory", "network", true),
+    ("memory", "", true),
 ];
 
 /// The medium of this name.

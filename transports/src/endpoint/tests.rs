@@ -17,7 +17,7 @@ fn bad(text: &str, part: &str, start: usize, words: &str) {
 
 #[test]
 fn a_medium_that_was_left_out_is_told_with_the_feature_that_it_needs() {
-    let known: [media::KnownMedium; 2] = [("udp", "ip", false), ("memory", "network", true)];
+    let known: [media::KnownMedium; 2] = [("udp", "ip", false), ("memory", "", true)];
     assert_eq!(media::find(&known, "memory"), Ok("memory"));
     let left_out = media::find(&known, "udp").unwrap_err();
     assert!(left_out.contains("without `udp`: add the feature `ip`"), "{left_out}");

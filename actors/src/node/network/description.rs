@@ -16,6 +16,7 @@ use std::env;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
+use tracing::warn;
 
 /// The networks of a node, and what it does by way of them.
 pub(in crate::node) struct NetworkDescription {
@@ -85,10 +86,16 @@ impl NetworkDescription {
                 "its commander {node} cannot reach this node, which has no networks: add one"
             ));
         }
-        let why = self.unlisted(node);
-        why.map_or(Ok(()), |why| {
-            Err(format!("its commander {node} is no node of the robot: {why}"))
-        })
+        if let Some(why) = self.unlisted(node) {
+            return Err(format!("its commander {node} is no node of the robot: {why}"));
+        }
+        let named = self.named_nodes();
+        if self.keys.is_none() && !named.contains(node) {
+            let near = nearest(node.as_str(), named.iter().map(NodeName::as_str));
+            let hint = near.map(|near| format!(": did you mean {near}?")).unwrap_or_default();
+            warn!(%node, "the commander of a policy is no neighbour of this node{hint}");
+        }
+        Ok(())
     }
 
     /// Says that the roster does not list a node, and which one is meant, perhaps.

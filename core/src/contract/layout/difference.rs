@@ -184,7 +184,7 @@ impl Comparison<'_> {
     }
 
     fn tell(&mut self, line: String) {
-        if self.lines.len() <= LINE_LIMIT {
+        if self.lines.len() <= LINE_LIMIT && self.lines.last() != Some(&line) {
             self.lines.push(line);
         }
     }
