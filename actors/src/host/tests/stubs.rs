@@ -5,7 +5,7 @@ use super::{Add, Boom, Note, Stage, acc, boom, logged};
 use crate::registry::remote::{OutgoingRequest, RemoteStub, StubFactory};
 use crate::{DeliveryError, Event, Incarnation};
 use blastema_core::contract::codec;
-use blastema_core::{ContractIdentity, GatherBuffer, NodeName, ObjectAddress};
+use blastema_core::{Blob, ContractIdentity, GatherBuffer, NodeName, ObjectAddress};
 use blastema_doubles::{paused, settle};
 use std::future::Future;
 use std::pin::Pin;
@@ -69,7 +69,7 @@ fn an_object_of_another_node_is_asked_with_the_same_code() {
 #[derive(Clone, Debug, PartialEq, Event)]
 struct Image {
     number: u32,
-    pixels: Vec<u8>,
+    pixels: Blob,
 }
 
 /// A way out that refuses the first message, and keeps the next.
@@ -106,14 +106,14 @@ impl RemoteStub for Narrow {
 }
 
 #[test]
-fn a_large_vector_is_sent_and_returned_without_a_copy() {
+fn a_large_blob_is_sent_and_returned_without_a_copy() {
     paused(async {
         let registry = Stage::new().environment.registry.clone();
         let narrow = Narrow::default();
         registry.set_node(NodeName::new("here").unwrap());
         registry.connect(Arc::new(narrow.clone()));
         let images = registry.sender::<Image>("there:screen").unwrap();
-        let image = Image { number: 7, pixels: vec![9; 10_000] };
+        let image = Image { number: 7, pixels: vec![9; 10_000].into() };
         let (place, copy) = (image.pixels.as_ptr(), image.clone());
 
         let refused = images.tell(image).unwrap_err();
