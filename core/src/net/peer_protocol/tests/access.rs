@@ -283,7 +283,7 @@ fn a_number_in_use_stands_for_what_it_stood_for_first() {
 fn a_subscription_has_one_contract_in_several_versions() {
     let mut pair = guarded(Role::Node, &["only other may listen on news by count"]);
     let (first, second) = (ContractIdentity { name: "other", ..count() }, count());
-    let identities = [first, second].map(|identity| identity.full().encode().into());
+    let identities = [first, second].map(|identity| identity.full().encode());
     let topic = "news".to_owned();
     let subscribe =
         PeerMessage::Subscribe { subscription: 1, topic, identities: identities.into() };
