@@ -89,8 +89,7 @@ impl Site {
     async fn new(shared: usize, grace: Duration) -> Self {
         let stage = Stage::on(ArbiterPool::pool(shared));
         let sighted = Probe::start();
-        let config =
-            HangDetectorConfig { grace, gap: Duration::from_secs(1), ..Default::default() };
+        let config = HangDetectorConfig { grace, gap: Duration::from_secs(1) };
         let environment = &stage.environment;
         let (list, arbiters) = (environment.watch_list.clone(), environment.arbiters.clone());
         let watch = sampler::start(list, arbiters, config, sighted.recipient(), true).unwrap();

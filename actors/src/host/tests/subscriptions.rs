@@ -88,7 +88,7 @@ fn ear(name: &str, blocks_on: Option<(u64, Barrier)>) -> (ChildSpec<Ear>, Log) {
 
 fn watched(stage: &Stage, grace: Duration) -> (Probe<LivenessReported>, SamplerGuard) {
     let sighted = Probe::start();
-    let config = HangDetectorConfig { grace, gap: Duration::from_secs(1), ..Default::default() };
+    let config = HangDetectorConfig { grace, gap: Duration::from_secs(1) };
     let (list, arbiters) =
         (stage.environment.watch_list.clone(), stage.environment.arbiters.clone());
     let guard = sampler::start(list, arbiters, config, sighted.recipient(), true).unwrap();
