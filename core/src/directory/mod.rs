@@ -15,12 +15,12 @@
 //! within the same session they count again.
 //!
 //! An object's address names its node. A *claim* is of a name without one, such as `map`: one node
-//! holds it, others may stand by, and all know who does. Every claim that is granted has an epoch, greater than any that its node
-//! has seen; of two holders of one name, as two halves of a network may bring them forth, the one
-//! of the greater epoch stays, and of equal ones the first by name. A node that has just started
-//! grants itself nothing until it has heard the others, so that it takes no name from its holder.
-//! That is enough for finding things. Where two at a time would do harm, use a service, which needs
-//! a majority.
+//! holds it, others may stand by, and all know who does. Every claim that is granted has an epoch,
+//! greater than any that its node has seen; of two holders of one name, as two halves of a network
+//! may bring them forth, the one of the greater epoch stays, and of equal ones the first by name. A
+//! node that has just started grants itself nothing until it has heard the others, so that it takes
+//! no name from its holder. That is enough for finding things. Where two at a time would do harm,
+//! use a service, which needs a majority.
 
 pub use self::types::{
     ClaimPolicy, ClaimRefused, ClaimRequest, DirectoryConfig, DirectoryKey, DirectoryOutput,
