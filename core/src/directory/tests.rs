@@ -1,3 +1,4 @@
+use super::claims::EPOCH_MAX;
 use super::types::{DirectoryMessage, DirectoryRecord};
 use super::*;
 use crate::contract::codec;
@@ -260,6 +261,18 @@ fn too_many_claims_and_nonsense_are_refused_and_counted_by_node() {
     let refusals = claims.refusals().next().unwrap().1;
     assert_eq!((refusals.too_large, refusals.malformed), (3, 1));
     assert_eq!(claims.held(), CLAIMS_MAX + PRESENT_MAX);
+}
+
+#[test]
+fn an_epoch_that_leaves_no_greater_one_is_refused() {
+    let mut robot = Robot::new(&["a", "b"]);
+    let claims = robot.nodes.get_mut(&node("b")).unwrap();
+    claims.hear(&node("a"), outputs("map", u64::MAX), ms(0));
+    claims.hear(&node("a"), outputs("plan", EPOCH_MAX - 1), ms(0));
+
+    assert_eq!(claims.refusals().next().unwrap().1.malformed, 1);
+    robot.claim("b", ClaimPolicy::Refuse).unwrap();
+    assert_eq!(robot.holder("a").as_deref(), Some("b"));
 }
 
 #[test]
