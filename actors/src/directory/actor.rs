@@ -379,6 +379,9 @@ impl Handler<DirectoryReport> for DirectoryActor {
                 self.look_at_own();
                 names.change(|machine| machine.handle_opened(node, incarnation, now));
             }
+            DirectoryReport::Reachable { node } => {
+                names.change(|machine| machine.handle_reachable(&node, now));
+            }
             DirectoryReport::Unreachable { node } => {
                 names.change(|machine| machine.handle_unreachable(&node, now));
             }

@@ -152,9 +152,7 @@ impl Directory {
 
     fn tell_everybody(&mut self, message: &DirectoryMessage) {
         let message = Bytes::from(codec::encode_unbounded(message));
-        for (node, _) in
-            self.peers.iter().filter(|(_, peer)| peer.reachability == Reachability::Here)
-        {
+        for (node, _) in self.peers.iter().filter(|(_, peer)| !peer.ended) {
             let (to, message) = (node.clone(), message.clone());
             self.outputs.push_back(DirectoryOutput::Send { to, message });
         }
