@@ -70,6 +70,11 @@ impl Directory {
         self.shown.len()
     }
 
+    /// Whether an object here claims a name: it holds it, stands by or waits.
+    pub fn is_claimed_here(&self, name: &ObjectName) -> bool {
+        self.own.contains_key(name)
+    }
+
     /// An object here claims a name. Answers the epoch, or nothing where it stands by, or has to
     /// wait: it is told later then.
     ///
