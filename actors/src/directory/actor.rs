@@ -266,6 +266,14 @@ impl Supervised for DirectoryActor {
         self.revisions = None;
         self.wake = WakeTimer::default();
         self.started(context);
+        // The panic may have lost the word that a claim is over: it is made again, and answered.
+        let names = self.setup.names.clone();
+        let ended = |name: &&ObjectName| !names.read(|machine| machine.is_claimed_here(name));
+        let ended: Vec<_> = self.own.keys().filter(ended).cloned().collect();
+        for own in ended.iter().filter_map(|name| self.own.remove(name)).collect::<Vec<_>>() {
+            self.claim(own);
+        }
+        self.drive(context);
     }
 }
 
@@ -379,6 +387,9 @@ impl Handler<DirectoryReport> for DirectoryActor {
                 self.look_at_own();
                 names.change(|machine| machine.handle_opened(node, incarnation, now));
             }
+            DirectoryReport::Reachable { node } => {
+                names.change(|machine| machine.handle_reachable(&node, now));
+            }
             DirectoryReport::Unreachable { node } => {
                 names.change(|machine| machine.handle_unreachable(&node, now));
             }
@@ -412,6 +423,7 @@ mod tests {
     use crate::messaging::dead_letters::DeadLetterLog;
     use crate::registry::remote::NameResolver;
     use crate::runtime::reports::FaultReports;
+    use blastema_core::Machine;
     use blastema_core::directory::ClaimPolicy;
     use blastema_doubles::{Probe, advance, paused, settle};
 
@@ -496,6 +508,38 @@ mod tests {
             drop(claim);
             advance(CLAIM_LEASE).await;
             assert_eq!(names.rows(), []);
+        });
+    }
+
+    #[test]
+    fn a_claimant_whose_claim_was_lost_in_a_panic_learns_how_it_stands() {
+        paused(async {
+            let names = DirectoryTable::default();
+            let ports = DirectoryActor::start(setup(&names), &Guardian::default(), None);
+            let claim = Claim::make(&names, wanted()).await.unwrap();
+            let node = NodeName::new("b").unwrap();
+            let incarnation = Incarnation(9);
+            let b = DirectorySetup { node: node.clone(), incarnation, ..setup(&names) };
+            let now = platform::now();
+            let mut b = Directory::new(config(&b), now);
+            b.handle_claim(wanted(), now).unwrap();
+            b.handle_opened(NodeName::new("a").unwrap(), Incarnation(1), now);
+
+            // What comes of it is not carried out before the panic.
+            names.change(|machine| {
+                machine.handle_opened(node.clone(), incarnation, now);
+                while let Some(output) = b.poll_output() {
+                    if let DirectoryOutput::Send { message, .. } = output {
+                        machine.handle_message(&node, &message, now);
+                    }
+                }
+            });
+            ports.panic.do_send(InjectPanic);
+            settle().await;
+
+            assert_eq!(names.holder(claim.name()).unwrap().node, node);
+            let refused = matches!(claim.state(), ClaimState::Refused(ClaimRefused::Held(_)));
+            assert!(refused, "{claim:?}");
         });
     }
 }

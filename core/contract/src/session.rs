@@ -30,12 +30,17 @@ pub struct SessionRow {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub enum DirectoryReport {
-    /// A session with the node is open, and a path leads there.
+    /// A session with the node has begun.
     Opened {
         /// The node at the other end.
         node: NodeName,
         /// The incarnation of that node.
         incarnation: Incarnation,
+    },
+    /// A path leads to the node. A session that waited for one goes on.
+    Reachable {
+        /// The node at the other end.
+        node: NodeName,
     },
     /// No path leads to the node. The session waits for one.
     Unreachable {

@@ -14,6 +14,12 @@ use crate::net::trust::policy::Verb;
 use crate::sorted::SortedMap;
 use crate::{Incarnation, Instant, NodeName, ObjectName};
 
+/// Epochs are below it.
+pub(super) const EPOCH_MAX: u64 = 1 << 62;
+/// The greatest epoch that an incarnation begins with: the milliseconds of its clock times 2^16,
+/// until the year 2527.
+const EPOCH_OF_CLOCKS: u64 = 1 << 60;
+
 /// A claim of this node.
 #[derive(Debug)]
 pub(super) struct OwnClaim {
@@ -37,7 +43,7 @@ impl OwnClaim {
 
 /// The epoch before the first of this incarnation.
 pub(super) fn first_epoch(incarnation: Incarnation) -> u64 {
-    incarnation.0.saturating_mul(1 << 16)
+    incarnation.0.saturating_mul(1 << 16).min(EPOCH_OF_CLOCKS)
 }
 
 impl Directory {
@@ -62,6 +68,11 @@ impl Directory {
     /// How many names are known to be held, here and elsewhere.
     pub fn held(&self) -> usize {
         self.shown.len()
+    }
+
+    /// Whether an object here claims a name: it holds it, stands by or waits.
+    pub fn is_claimed_here(&self, name: &ObjectName) -> bool {
+        self.own.contains_key(name)
     }
 
     /// An object here claims a name. Answers the epoch, or nothing where it stands by, or has to
@@ -163,7 +174,7 @@ impl Directory {
     pub(super) fn take(&mut self, name: &ObjectName, now: Instant) -> Option<u64> {
         let OwnClaim { object, policy, .. } = self.own.get(name)?;
         let (object, policy) = (object.clone(), *policy);
-        self.last_epoch = self.last_epoch.saturating_add(1);
+        self.last_epoch = (self.last_epoch + 1).min(EPOCH_MAX - 1);
         let epoch = self.last_epoch;
         let granted = OwnClaim { object, policy, epoch: Some(epoch), take_at: None };
         self.set_own(name, Some(granted), now);

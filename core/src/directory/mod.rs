@@ -6,8 +6,8 @@
 //! say.)
 //!
 //! ```text
-//!  a session or path begins     All (in parts)     everything the node has
-//!  something changes            Changed            what came and went
+//!  a session begins      All (in parts)     everything the node has
+//!  something changes     Changed            what came and went
 //! ```
 //!
 //! A session delivers each message once and in order, so that none is repeated. Records are void a
@@ -15,12 +15,12 @@
 //! within the same session they count again.
 //!
 //! An object's address names its node. A *claim* is of a name without one, such as `map`: one node
-//! holds it, others may stand by, and all know who does. Every claim that is granted has an epoch, greater than any that its node
-//! has seen; of two holders of one name, as two halves of a network may bring them forth, the one
-//! of the greater epoch stays, and of equal ones the first by name. A node that has just started
-//! grants itself nothing until it has heard the others, so that it takes no name from its holder.
-//! That is enough for finding things. Where two at a time would do harm, use a service, which needs
-//! a majority.
+//! holds it, others may stand by, and all know who does. Every claim that is granted has an epoch,
+//! greater than any that its node has seen; of two holders of one name, as two halves of a network
+//! may bring them forth, the one of the greater epoch stays, and of equal ones the first by name. A
+//! node that has just started grants itself nothing until it has heard the others, so that it takes
+//! no name from its holder. That is enough for finding things. Where two at a time would do harm,
+//! use a service, which needs a majority.
 
 pub use self::types::{
     ClaimPolicy, ClaimRefused, ClaimRequest, DirectoryConfig, DirectoryKey, DirectoryOutput,
@@ -131,13 +131,14 @@ impl Directory {
             }
             self.look_at(&name, now);
         }
+        let peers = self.peers.iter();
         let peers: Vec<_> =
-            self.peers.iter().map(|(node, peer)| (node.clone(), peer.reachability)).collect();
-        for (node, reachability) in peers {
+            peers.map(|(node, peer)| (node.clone(), peer.reachability, peer.ended)).collect();
+        for (node, reachability, ended) in peers {
             if reachability != Reachability::Gone {
                 self.count_claims(&node, now);
             }
-            if reachability == Reachability::Here {
+            if !ended {
                 self.tell_all(&node);
             }
         }
@@ -199,8 +200,7 @@ impl Directory {
         beyond
     }
 
-    /// A session with a node is open, and a path leads there: it is told everything again,
-    /// whatever it knew.
+    /// A session with a node has begun: it is told everything, whatever it knew.
     pub fn handle_opened(&mut self, node: NodeName, incarnation: Incarnation, now: Instant) {
         if self.peers.get(&node).is_some_and(|peer| peer.incarnation != incarnation) {
             self.handle_left(&node, now);
@@ -214,15 +214,21 @@ impl Directory {
             complete: false,
             refusals: Refusals::default(),
         };
-        let peer = self.peers.entry(node.clone()).or_insert(fresh);
-        peer.ended = false;
-        if std::mem::replace(&mut peer.reachability, Reachability::Here) == Reachability::Gone {
-            self.count_claims(&node, now);
-        }
+        self.peers.entry(node.clone()).or_insert(fresh).ended = false;
+        self.handle_reachable(&node, now);
         self.tell_all(&node);
     }
 
-    /// No path leads to a node: its records hold for a lease.
+    /// A path leads to a node; if its session goes on, its records count again.
+    pub fn handle_reachable(&mut self, node: &NodeName, now: Instant) {
+        let Some(peer) = self.peers.get_mut(node).filter(|peer| !peer.ended) else { return };
+        if std::mem::replace(&mut peer.reachability, Reachability::Here) == Reachability::Gone {
+            self.count_claims(node, now);
+        }
+    }
+
+    /// No path leads to a node: its records hold for a lease. What changes is sent meanwhile, for
+    /// its session may go on.
     pub fn handle_unreachable(&mut self, node: &NodeName, now: Instant) {
         let until = now + self.config.lease;
         if let Some(peer) = self.peers.get_mut(node)

@@ -1,5 +1,6 @@
 //! What nodes tell each other of their records.
 
+use super::claims::EPOCH_MAX;
 use super::types::{DirectoryMessage, DirectoryRecord, NameClaim};
 use super::{
     CLAIMS_MAX, Directory, DirectoryKey, DirectoryOutput, DirectoryPeer, NAMES_MAX, PRESENT_MAX,
@@ -70,7 +71,7 @@ impl Directory {
         };
         let records = &peer.records;
         let full = full || records.len() >= CLAIMS_MAX + PRESENT_MAX && !records.contains_key(&key);
-        let malformed = !key.is_short();
+        let malformed = claim.epoch.is_some_and(|epoch| epoch >= EPOCH_MAX) || !key.is_short();
         if full || malformed {
             peer.refusals.too_large += u64::from(full);
             peer.refusals.malformed += u64::from(malformed);
@@ -151,9 +152,7 @@ impl Directory {
 
     fn tell_everybody(&mut self, message: &DirectoryMessage) {
         let message = Bytes::from(codec::encode_unbounded(message));
-        for (node, _) in
-            self.peers.iter().filter(|(_, peer)| peer.reachability == Reachability::Here)
-        {
+        for (node, _) in self.peers.iter().filter(|(_, peer)| !peer.ended) {
             let (to, message) = (node.clone(), message.clone());
             self.outputs.push_back(DirectoryOutput::Send { to, message });
         }

@@ -1,9 +1,11 @@
+use super::claims::EPOCH_MAX;
 use super::types::{DirectoryMessage, DirectoryRecord};
 use super::*;
 use crate::contract::codec;
 use crate::net::trust::crypto::Seed;
 use crate::net::trust::policy::Role;
 use crate::net::trust::roster::{NodeRoster, RosterNode};
+use bytes::Bytes;
 use std::time::Duration;
 
 const LEASE: Duration = Duration::from_millis(400);
@@ -33,6 +35,8 @@ struct Robot {
     now: u64,
     nodes: SortedMap<NodeName, Directory>,
     parted: bool,
+    /// Sent while they are parted: from whom, and to whom.
+    underway: Vec<(NodeName, NodeName, Bytes)>,
     outputs: Vec<String>,
     /// Of nodes that start from now on.
     settle: Duration,
@@ -42,8 +46,8 @@ struct Robot {
 impl Robot {
     fn new(names: &[&str]) -> Self {
         let (settle, expected) = (Duration::ZERO, SortedSet::new());
-        let (nodes, outputs) = (SortedMap::new(), vec![]);
-        let mut robot = Robot { now: 0, nodes, parted: false, outputs, settle, expected };
+        let (nodes, underway, outputs) = (SortedMap::new(), vec![], vec![]);
+        let mut robot = Robot { now: 0, nodes, parted: false, underway, outputs, settle, expected };
         names.iter().for_each(|name| robot.start(name, 0));
         robot
     }
@@ -71,20 +75,32 @@ impl Robot {
     fn part(&mut self, parted: bool) {
         self.parted = parted;
         let now = ms(self.now);
-        let all: Vec<_> =
-            self.nodes.iter().map(|(name, node)| (name.clone(), node.config.incarnation)).collect();
+        let all: Vec<_> = self.nodes.keys().cloned().collect();
         for (name, directory) in &mut self.nodes {
-            let others = all.iter().filter(|(other, _)| other != name);
-            for (other, incarnation) in others {
+            for other in all.iter().filter(|other| *other != name) {
                 if (name.as_str() == "a") != (other.as_str() == "a") {
                     match parted {
                         true => directory.handle_unreachable(other, now),
-                        false => directory.handle_opened(other.clone(), *incarnation, now),
+                        false => directory.handle_reachable(other, now),
                     }
                 }
             }
         }
+        for (from, to, message) in std::mem::take(&mut self.underway) {
+            self.bring(from, to, message);
+        }
         self.carry();
+    }
+
+    fn bring(&mut self, from: NodeName, to: NodeName, message: Bytes) {
+        match self.can_hear(&from, &to) {
+            true => {
+                if let Some(claims) = self.nodes.get_mut(&to) {
+                    claims.handle_message(&from, &message, ms(self.now));
+                }
+            }
+            false => self.underway.push((from, to, message)),
+        }
     }
 
     fn carry(&mut self) {
@@ -98,12 +114,8 @@ impl Robot {
             }
             for (from, output) in outputs {
                 match output {
-                    DirectoryOutput::Send { to, message } if self.can_hear(&from, &to) => {
-                        if let Some(claims) = self.nodes.get_mut(&to) {
-                            claims.handle_message(&from, &message, ms(self.now));
-                        }
-                    }
-                    DirectoryOutput::Send { .. } | DirectoryOutput::StandsBy { .. } => {}
+                    DirectoryOutput::Send { to, message } => self.bring(from, to, message),
+                    DirectoryOutput::StandsBy { .. } => {}
                     DirectoryOutput::Granted { name, .. } => {
                         self.outputs.push(format!("{from} has {name}"))
                     }
@@ -263,6 +275,18 @@ fn too_many_claims_and_nonsense_are_refused_and_counted_by_node() {
 }
 
 #[test]
+fn an_epoch_that_leaves_no_greater_one_is_refused() {
+    let mut robot = Robot::new(&["a", "b"]);
+    let claims = robot.nodes.get_mut(&node("b")).unwrap();
+    claims.hear(&node("a"), outputs("map", u64::MAX), ms(0));
+    claims.hear(&node("a"), outputs("plan", EPOCH_MAX - 1), ms(0));
+
+    assert_eq!(claims.refusals().next().unwrap().1.malformed, 1);
+    robot.claim("b", ClaimPolicy::Refuse).unwrap();
+    assert_eq!(robot.holder("a").as_deref(), Some("b"));
+}
+
+#[test]
 fn a_node_that_starts_takes_no_name_before_it_has_heard_who_holds_it() {
     let mut robot = Robot::new(&["a", "b"]);
     robot.claim("a", ClaimPolicy::Refuse).unwrap();
@@ -372,11 +396,27 @@ fn what_a_node_has_counts_again_when_its_path_is_back_within_a_session() {
     assert_eq!((robot.holder("b"), robot.seen("b", "a")), (None, vec![]));
     robot.has("a", &[object("leg")]);
     let b = robot.nodes.get_mut(&node("b")).unwrap();
-    b.handle_opened(node("a"), Incarnation(0), ms(robot.now));
+    b.handle_reachable(&node("a"), ms(robot.now));
     robot.carry();
 
     assert_eq!(robot.seen("b", "a"), ["leg"]);
     assert_eq!(robot.holder("b").as_deref(), Some("a"));
+}
+
+#[test]
+fn a_path_that_is_back_within_a_session_brings_what_changed_meanwhile_and_nothing_else() {
+    let mut robot = Robot::new(&["a", "b"]);
+    robot.has("a", &[object("arm")]);
+    robot.part(true);
+    robot.advance(500);
+    robot.has("a", &[object("leg")]);
+    robot.part(false);
+    assert_eq!(robot.seen("b", "a"), ["leg"]);
+
+    let a = robot.nodes.get_mut(&node("a")).unwrap();
+    a.handle_unreachable(&node("b"), ms(robot.now));
+    a.handle_reachable(&node("b"), ms(robot.now));
+    assert_eq!(a.poll_output(), None);
 }
 
 fn outputs(name: &str, epoch: u64) -> DirectoryRecord {

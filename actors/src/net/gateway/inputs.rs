@@ -28,10 +28,10 @@ impl ObjectGateway {
         let is_newer = known.incarnation != incarnation;
         known.left &= !is_newer;
         send_state.path_found(is_newer);
-        if send_state.has_session() && !is_newer && !send_state.is_isolated() {
-            self.tell_directory(DirectoryReport::Opened { node: node.clone(), incarnation });
-        } else if !send_state.has_session() {
+        if !send_state.has_session() {
             self.set(peer, PeerCondition::Opening);
+        } else if !is_newer {
+            self.tell_directory(DirectoryReport::Reachable { node: node.clone() });
         }
     }
 
