@@ -155,9 +155,7 @@ impl PeerProtocol {
             }
             PeerMessage::RosterSerial { serial } => self.handle_serial(peer, serial),
             PeerMessage::RosterRequest => self.handle_roster_request(peer),
-            PeerMessage::Roster { text } => {
-                self.outputs.push_back(PeerProtocolOutput::Roster { peer, text: text.into() });
-            }
+            PeerMessage::Roster { text } => self.handle_peers_roster(peer, text.into()),
             PeerMessage::Directory { message } => {
                 self.outputs
                     .push_back(PeerProtocolOutput::Directory { peer, message: message.into() });

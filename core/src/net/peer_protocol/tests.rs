@@ -443,6 +443,21 @@ fn a_peer_that_binds_without_end_is_refused_beyond_the_limit() {
 }
 
 #[test]
+fn a_roster_is_taken_once_each_time_that_it_was_asked_for() {
+    let mut pair = Pair::open();
+    let (peer, text) = (pair.ids[1], payload());
+    let roster = PeerMessage::Roster { text: text.to_vec() }.encode().into_bytes();
+    pair.ends[0].handle_message(peer, roster.clone(), at(0));
+    pair.ends[0].handle_roster(1, Bytes::new());
+    pair.ends[1].handle_roster(2, text.clone());
+    pair.run();
+    pair.ends[0].handle_message(peer, roster, at(0));
+    pair.run();
+    assert_eq!(pair.take(0), [PeerProtocolOutput::Roster { peer, text }]);
+    assert_eq!(pair.ends[0].refusals().unexpected, 2);
+}
+
+#[test]
 fn what_waited_on_the_way_arrives_with_its_age() {
     let mut pair = Pair::open();
     pair.run();
