@@ -14,7 +14,7 @@ use crate::net::wire::node_id::NodeId;
 use bytes::Bytes;
 
 /// The most letters of a safe state's reason that peers are told: a panic's text, shortened.
-const REASON_MAX: usize = 256;
+pub(super) const REASON_MAX: usize = 256;
 
 /// What peers are told of this node.
 #[derive(Debug, Default)]
