@@ -16,9 +16,9 @@ use blastema_core::sorted::SortedMap;
 use blastema_core::{Credit, DeliveryError, FaultKind, GatherBuffer, Incarnation, NodeName};
 use bytes::Bytes;
 use std::time::Duration;
-use tracing::{error, warn};
+use tracing::warn;
 
-/// The most peers that a node meets in its life. Twice what a router knows at a time: robots change.
+/// The most peers that are remembered. Twice what a router knows at a time: robots change.
 const PEERS_MAX: usize = 512;
 /// A session that is built again counts on from there: more than any session needs.
 const NUMBERS_PER_LIFE: u32 = 1 << 16;
@@ -35,6 +35,9 @@ pub(super) struct PeerSessions {
     complaints: RefusalAlarms<Option<NodeId>>,
     /// What came from nodes that no route leads to.
     strangers: Refusals,
+    /// The highest number of a session with a peer that was forgotten: those with a new one are
+    /// above it, for it may be the same peer.
+    forgotten: u32,
     /// This node ends: no session begins any more.
     closed: bool,
     rates: ByteRates<NodeId>,
@@ -74,6 +77,7 @@ impl PeerSessions {
             nodes,
             complaints: RefusalAlarms::default(),
             strangers: Refusals::default(),
+            forgotten: 0,
             closed: false,
             rates: ByteRates::default(),
         }
@@ -89,17 +93,28 @@ impl PeerSessions {
         self.machines.insert(id, Session::new(config, platform::now()));
     }
 
-    /// Makes the session with a node.
-    pub(super) fn meet(&mut self, node: &NodeName) {
+    /// Makes the session with a node. Returns the session that made way for it, if one had to.
+    pub(super) fn meet(&mut self, node: &NodeName) -> Option<DiscardedSession> {
         let id = NodeId::of(node);
         if self.peers.contains_key(&id) {
-            return;
+            return None;
         }
-        if self.peers.len() >= PEERS_MAX {
-            return error!(%node, "no session: this node has met {PEERS_MAX} others since its start");
-        }
-        self.peers.insert(id, Peer { node: node.clone(), path: None, number: 0, relayed: false });
+        let gone = (self.peers.len() >= PEERS_MAX).then(|| self.forget_one()).flatten();
+        let (node, number) = (node.clone(), self.forgotten);
+        self.peers.insert(id, Peer { node, path: None, number, relayed: false });
         self.build(id);
+        gone
+    }
+
+    /// Makes room for a new peer: removes one without a path.
+    fn forget_one(&mut self) -> Option<DiscardedSession> {
+        let peer = self.peers.iter().find(|(_, peer)| peer.path.is_none()).map(|(id, _)| *id)?;
+        let discarded = self.discard(peer);
+        if let Some(gone) = self.peers.remove(&peer) {
+            self.forgotten = self.forgotten.max(gone.number);
+        }
+        self.complaints.forget(&Some(peer));
+        discarded
     }
 
     /// Takes a session's machine away, with all that it held.
@@ -276,5 +291,23 @@ impl PeerSessions {
     fn unreachable(&self, peer: NodeId) -> DeliveryError {
         let node = self.peers.get(&peer).map_or(peer.to_string(), |peer| peer.node.to_string());
         DeliveryError::Unreachable { node }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn however_many_nodes_were_met_a_further_one_has_a_session() {
+        let own = (NodeName::new("base").unwrap(), Incarnation(1));
+        let told = (FaultReporter::of("stack", None, None), None);
+        let mut sessions = PeerSessions::new(own, Duration::from_secs(2), told);
+        for number in 0..2 * PEERS_MAX {
+            let node = NodeName::new(&format!("n{number}")).unwrap();
+            sessions.meet(&node);
+            assert!(sessions.machines.get_mut(NodeId::of(&node)).is_some());
+        }
+        assert_eq!(sessions.peers.len(), PEERS_MAX);
     }
 }

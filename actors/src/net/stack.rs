@@ -181,7 +181,9 @@ impl NetworkStack {
             RouterOutput::Reachable { node, incarnation, mtu } => {
                 self.lower.with_router(|router| router.reachable(&node, incarnation));
                 let sessions = &mut self.lower.sessions;
-                sessions.meet(&node);
+                if let Some(gone) = sessions.meet(&node) {
+                    self.gateway.session_discarded(gone);
+                }
                 self.gateway.handle_reachable(&node, incarnation);
                 sessions.handle_reachable(NodeId::of(&node), incarnation, mtu);
             }

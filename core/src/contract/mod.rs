@@ -20,7 +20,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 /// The most bytes that an encoded [`PeerIdentity`] may take. One of a rich message takes 2 KiB.
-const PEER_LIMIT: usize = 16 * 1024;
+pub(crate) const PEER_LIMIT: usize = 16 * 1024;
 
 /// A type of message: an event, or a request with its reply.
 ///

@@ -18,7 +18,7 @@ use blastema_core::net::refusal_alarms::RefusalAlarms;
 use blastema_core::net::routing::{LinkHealth, LinkStatus};
 use blastema_core::net::trust::beacon::{BeaconKeys, CheckedBeacon};
 use blastema_core::net::{LinkId, LinkState};
-use blastema_core::{FaultKind, NodeName};
+use blastema_core::{FaultKind, Instant, NodeName, SlidingWindow};
 use bytes::Bytes;
 use std::net::{IpAddr, SocketAddr};
 use std::time::Duration;
@@ -53,8 +53,6 @@ pub(super) struct NetworkDiscovery {
     keys: Option<BeaconKeys>,
     /// The port at which the network is open, for beacons.
     port: Option<u16>,
-    /// So many beacons are still listened to until the next look.
-    left: u32,
 }
 
 impl NetworkDiscovery {
@@ -72,7 +70,6 @@ impl NetworkDiscovery {
             complaints: RefusalAlarms::default(),
             keys: keys.map(NodeKeys::beacon_keys),
             port: None,
-            left: BEACONS_MAX,
         }
     }
 
@@ -108,9 +105,6 @@ impl NetworkDiscovery {
     }
 
     fn handle_beacon(&mut self, from: IpAddr, frame: &[u8]) {
-        // A flood is heard in part: enough to be refused, counted and named.
-        let Some(left) = self.left.checked_sub(1) else { return };
-        self.left = left;
         let now = platform::now();
         let read = match self.keys.as_mut().map(|keys| keys.check(frame, now)) {
             None => read_beacon(frame),
@@ -146,7 +140,26 @@ fn read_beacon(frame: &[u8]) -> Option<(NodeName, u16)> {
 }
 
 /// Hears the beacons of one network: its links hear another transport.
-struct BeaconReceiver(Recipient<BeaconReport>);
+struct BeaconReceiver {
+    links: Recipient<BeaconReport>,
+    /// Those of the last second that were passed on.
+    heard: SlidingWindow,
+}
+
+impl BeaconReceiver {
+    fn new(links: Recipient<BeaconReport>) -> Self {
+        BeaconReceiver { links, heard: SlidingWindow::new(BEACONS_MAX, BEACON_INTERVAL) }
+    }
+
+    /// A flood is heard in part: enough to be refused, counted and named.
+    fn handle_frame(&mut self, from: MediumAddress, frame: Bytes, now: Instant) {
+        if let MediumAddress::Ip(from) = from
+            && self.heard.add((), now)
+        {
+            self.links.do_send(BeaconReport::Received { from: from.ip(), frame });
+        }
+    }
+}
 
 impl Actor for BeaconReceiver {
     type Context = Context<Self>;
@@ -156,9 +169,7 @@ impl Handler<Received> for BeaconReceiver {
     type Result = ();
 
     fn handle(&mut self, Received { from, frame }: Received, _: &mut Context<Self>) {
-        if let MediumAddress::Ip(from) = from {
-            self.0.do_send(BeaconReport::Received { from: from.ip(), frame });
-        }
+        self.handle_frame(from, frame, platform::now());
     }
 }
 
@@ -167,7 +178,7 @@ impl Handler<TransportReport> for BeaconReceiver {
 
     fn handle(&mut self, report: TransportReport, _: &mut Context<Self>) {
         match report {
-            TransportReport::Opened { .. } => self.0.do_send(BeaconReport::Opened),
+            TransportReport::Opened { .. } => self.links.do_send(BeaconReport::Opened),
             TransportReport::Closed { reason } => warn!("no beacons: {reason}"),
             TransportReport::Ended
             | TransportReport::Rate { .. }
@@ -207,7 +218,7 @@ impl LinksActor {
     /// Hears and sends beacons from now on.
     pub(super) fn attach_beacons(&self, context: &mut Context<Self>) {
         let Some(discovery) = &self.discovery else { return };
-        let receiver = BeaconReceiver(context.address().recipient()).start();
+        let receiver = BeaconReceiver::new(context.address().recipient()).start();
         let (transport, _) = &discovery.spec.beacons;
         transport.attach.do_send(Attach::new(receiver.clone().recipient(), receiver.recipient()));
         context.run_interval(BEACON_INTERVAL, |links, context| {
@@ -220,7 +231,6 @@ impl LinksActor {
     /// beacons are refused for seconds.
     fn look_at_beacons(&mut self) {
         let Some(discovery) = &mut self.discovery else { return };
-        discovery.left = BEACONS_MAX;
         discovery.say_beacons();
         discovery.machine.handle_time(platform::now());
         if let Some(since) = discovery.complaints.handle_look((), discovery.machine.refusals()) {
@@ -325,6 +335,44 @@ impl LinksActor {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicU32, Ordering};
+
+    /// Counts the beacons that reach the links.
+    struct Counter(Arc<AtomicU32>);
+
+    impl Actor for Counter {
+        type Context = Context<Self>;
+    }
+
+    impl Handler<BeaconReport> for Counter {
+        type Result = ();
+
+        fn handle(&mut self, _: BeaconReport, _: &mut Context<Self>) {
+            self.0.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    #[test]
+    fn of_a_flood_no_more_than_a_second_allows_is_passed_on() {
+        let passed = Arc::new(AtomicU32::new(0));
+        let counted = passed.clone();
+        System::new().block_on(async move {
+            let mut receiver = BeaconReceiver::new(Counter(counted).start().recipient());
+            let from = MediumAddress::Ip(SocketAddr::from(([10, 0, 0, 1], 7400)));
+            for millis in [0, 1001] {
+                for _ in 0..2 * BEACONS_MAX {
+                    let now = Instant::from_millis(millis);
+                    receiver.handle_frame(from.clone(), Bytes::new(), now);
+                }
+            }
+            while passed.load(Ordering::Relaxed) < 2 * BEACONS_MAX {
+                actix::clock::sleep(Duration::from_millis(1)).await;
+            }
+            actix::clock::sleep(Duration::from_millis(20)).await;
+            assert_eq!(passed.load(Ordering::Relaxed), 2 * BEACONS_MAX);
+        });
+    }
 
     #[test]
     fn a_beacon_says_who_is_at_which_port_and_nothing_else_is_one() {

@@ -1,12 +1,15 @@
 //! Handles the messages of a peer.
 
 use super::access::{PeerBound, PeerSubscription};
+use super::node_state::REASON_MAX;
 use super::peer::{Binding, PendingCall, QueuedMessage};
 use super::reply_cache::RequestVerdict;
 use super::{
     BINDINGS_MAX, CALLS_MAX, MessageTarget, PeerProtocol, PeerProtocolOutput, RemoteTopic,
     TopicContract, control, refuse,
 };
+use crate::contract::{PEER_LIMIT, codec};
+use crate::net::trust::roster::ROSTER_BYTES;
 use crate::net::wire::message::{FORMS_MAX, PeerMessage, TICK_US};
 use crate::net::wire::node_id::NodeId;
 use crate::{DeliveryError, GatherBuffer, Instant, ObjectName, PeerIdentity, TrafficClass};
@@ -15,14 +18,43 @@ use std::time::Duration;
 
 /// The longest name of a topic, in bytes.
 const TOPIC_MAX: usize = 255;
+/// The longest signed roster, in bytes: its text, and a line.
+const SIGNED_ROSTER_MAX: usize = 2 * ROSTER_BYTES;
+/// The longest message of a directory, in bytes: no directory reads more.
+const DIRECTORY_MAX: usize = 64 * 1024;
+/// The longest error that is kept as it came, in bytes.
+const ERROR_MAX: usize = 8 * 1024;
+
+/// Of an error that is too long, the beginning is kept.
+fn shorten(why: &mut DeliveryError) {
+    if codec::encode_unbounded(why).len() <= ERROR_MAX {
+        return;
+    }
+    let beginning = |text: &str| text.chars().take(ERROR_MAX / 4).collect();
+    match why {
+        DeliveryError::ContractDiffers { difference: text }
+        | DeliveryError::Undecodable { reason: text }
+        | DeliveryError::CheckFailed { reason: text }
+        | DeliveryError::NotKept { reason: text }
+        | DeliveryError::ReplyUnsent { reason: text } => *text = beginning(text),
+        other => *other = DeliveryError::OutcomeUnknown { reason: beginning(&other.to_string()) },
+    }
+}
 
 impl PeerProtocol {
     /// A peer says something.
     pub fn handle_message(&mut self, peer: NodeId, message: Bytes, now: Instant) {
-        let message = match PeerMessage::decode(message) {
+        let mut message = match PeerMessage::decode(message) {
             Ok(message) => message,
             Err(error) => return self.refusals.count(&error),
         };
+        if let PeerMessage::BindRefused { why, .. }
+        | PeerMessage::TellRefused { why, .. }
+        | PeerMessage::SubscribeRefused { why, .. }
+        | PeerMessage::Reply { result: Err(why), .. } = &mut message
+        {
+            shorten(why);
+        }
         let Some(session) = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut()) else {
             self.refusals.unexpected += 1;
             return;
@@ -147,7 +179,7 @@ impl PeerProtocol {
                 self.outputs.push_back(PeerProtocolOutput::Announced { peer });
             }
             PeerMessage::InSafeState { reason } => {
-                let reason = Some(reason);
+                let reason = Some(reason.chars().take(REASON_MAX).collect());
                 self.outputs.push_back(PeerProtocolOutput::SafeState { peer, reason });
             }
             PeerMessage::AtWork => {
@@ -155,8 +187,12 @@ impl PeerProtocol {
             }
             PeerMessage::RosterSerial { serial } => self.handle_serial(peer, serial),
             PeerMessage::RosterRequest => self.handle_roster_request(peer),
-            PeerMessage::Roster { text } => {
-                self.outputs.push_back(PeerProtocolOutput::Roster { peer, text: text.into() });
+            PeerMessage::Roster { text } if text.len() > SIGNED_ROSTER_MAX => {
+                self.refusals.too_large += 1;
+            }
+            PeerMessage::Roster { text } => self.handle_peers_roster(peer, text.into()),
+            PeerMessage::Directory { message } if message.len() > DIRECTORY_MAX => {
+                self.refusals.too_large += 1;
             }
             PeerMessage::Directory { message } => {
                 self.outputs
@@ -225,7 +261,6 @@ impl PeerProtocol {
         // A topic carries one contract, in several versions.
         let of_one = |all: &Vec<PeerIdentity>| {
             topic.len() <= TOPIC_MAX
-                && all.len() <= FORMS_MAX
                 && all.first().is_some_and(|first| all.iter().all(|other| other.name == first.name))
         };
         let Some(identities) = self.take_in(peer, identities).filter(of_one) else {
@@ -249,7 +284,9 @@ impl PeerProtocol {
     /// A peer wants something new of us: within bounds, and with a contract that can be read.
     fn take_in(&mut self, peer: NodeId, identities: &[Vec<u8>]) -> Option<Vec<PeerIdentity>> {
         let session = self.peers.get(&peer)?.session.as_ref()?;
-        if session.bound.len() + session.subscriptions.len() >= BINDINGS_MAX {
+        let are_many = session.bound.len() + session.subscriptions.len() >= BINDINGS_MAX;
+        let is_long = |identity: &Vec<u8>| identity.len() > PEER_LIMIT;
+        if are_many || identities.len() > FORMS_MAX || identities.iter().any(is_long) {
             self.refusals.too_large += 1;
             return None;
         }

@@ -90,6 +90,8 @@ struct PeerRecord {
     past: BindingTable,
     /// Requests that are sent again in the next session.
     again: Vec<Call>,
+    /// In this session it was asked for its roster, and has not sent it yet.
+    asked_roster: bool,
 }
 
 impl PeerProtocol {
@@ -140,6 +142,7 @@ impl PeerProtocol {
         let session = PeerSession::new(SessionEpoch(self.epochs), incarnation, now);
         let state = self.peers.entry(peer).or_default();
         state.session = Some(session);
+        state.asked_roster = false;
         let again = std::mem::take(&mut state.again);
         let topics: Vec<_> = self.interests.keys().cloned().collect();
         self.outputs.extend(self.own.messages().map(|message| control(peer, &message)));

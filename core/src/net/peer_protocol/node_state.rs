@@ -8,13 +8,13 @@
 //! A session delivers each message once, so that none is repeated. A node in the safe state stays
 //! on the network: without its word the peers would find out only by what does not come.
 
-use super::{PeerProtocol, control};
+use super::{PeerProtocol, PeerProtocolOutput, control};
 use crate::net::wire::message::PeerMessage;
 use crate::net::wire::node_id::NodeId;
 use bytes::Bytes;
 
 /// The most letters of a safe state's reason that peers are told: a panic's text, shortened.
-const REASON_MAX: usize = 256;
+pub(super) const REASON_MAX: usize = 256;
 
 /// What peers are told of this node.
 #[derive(Debug, Default)]
@@ -65,6 +65,17 @@ impl PeerProtocol {
     pub(super) fn handle_serial(&mut self, peer: NodeId, serial: u64) {
         if self.own.roster.as_ref().is_some_and(|(own, _)| serial > *own) {
             self.outputs.push_back(control(peer, &PeerMessage::RosterRequest));
+            self.peers.entry(peer).or_default().asked_roster = true;
+        }
+    }
+
+    /// A peer sends its roster. What was not asked for is not taken.
+    pub(super) fn handle_peers_roster(&mut self, peer: NodeId, text: Bytes) {
+        let record = self.peers.get_mut(&peer);
+        if record.is_some_and(|record| std::mem::take(&mut record.asked_roster)) {
+            self.outputs.push_back(PeerProtocolOutput::Roster { peer, text });
+        } else {
+            self.refusals.unexpected += 1;
         }
     }
 

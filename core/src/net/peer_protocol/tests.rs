@@ -443,6 +443,53 @@ fn a_peer_that_binds_without_end_is_refused_beyond_the_limit() {
 }
 
 #[test]
+fn a_roster_is_taken_once_each_time_that_it_was_asked_for() {
+    let mut pair = Pair::open();
+    let (peer, text) = (pair.ids[1], payload());
+    let roster = PeerMessage::Roster { text: text.to_vec() }.encode().into_bytes();
+    pair.ends[0].handle_message(peer, roster.clone(), at(0));
+    pair.ends[0].handle_roster(1, Bytes::new());
+    pair.ends[1].handle_roster(2, text.clone());
+    pair.run();
+    pair.ends[0].handle_message(peer, roster, at(0));
+    pair.run();
+    assert_eq!(pair.take(0), [PeerProtocolOutput::Roster { peer, text }]);
+    assert_eq!(pair.ends[0].refusals().unexpected, 2);
+}
+
+#[test]
+fn what_a_peer_says_of_itself_is_refused_or_shortened_where_it_is_too_long() {
+    let mut pair = Pair::open();
+    let peer = pair.ids[1];
+    let mut says = |message: PeerMessage| {
+        pair.ends[0].handle_message(peer, message.encode().into_bytes(), at(0));
+        let outputs: Vec<_> = std::iter::from_fn(|| pair.ends[0].poll_output()).collect();
+        (outputs, pair.ends[0].refusals().too_large)
+    };
+    let (identity, long) = (vec![0; 16 * 1024 + 1], "x".repeat(100_000));
+    let refused =
+        |outputs: &[PeerProtocolOutput]| matches!(outputs, [PeerProtocolOutput::Send { .. }]);
+    let bind = PeerMessage::Bind { binding: 1, object: arm(), identity: identity.clone() };
+    let (outputs, count) = says(bind);
+    assert!(refused(&outputs) && count == 1);
+    let (topic, identities) = ("news".to_owned(), vec![identity]);
+    let (outputs, count) = says(PeerMessage::Subscribe { subscription: 1, topic, identities });
+    assert!(refused(&outputs) && count == 2);
+    assert_eq!(says(PeerMessage::Roster { text: vec![0; 128 * 1024 + 1] }), (vec![], 3));
+    assert_eq!(says(PeerMessage::Directory { message: vec![0; 64 * 1024 + 1] }), (vec![], 4));
+
+    let reason = Some("x".repeat(256));
+    let (outputs, _) = says(PeerMessage::InSafeState { reason: long.clone() });
+    assert_eq!(outputs, [PeerProtocolOutput::SafeState { peer, reason }]);
+    let why = DeliveryError::Unknown { name: long };
+    let (outputs, _) = says(PeerMessage::SubscribeRefused { subscription: 1, why });
+    let [PeerProtocolOutput::Differs { difference, .. }] = &outputs[..] else {
+        panic!("{outputs:?}");
+    };
+    assert!(difference.len() < 8 * 1024);
+}
+
+#[test]
 fn what_waited_on_the_way_arrives_with_its_age() {
     let mut pair = Pair::open();
     pair.run();

@@ -26,8 +26,8 @@ use bytes::{BufMut, Bytes, BytesMut};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-/// The most bytes that the codec reads: more than a session carries.
-const CODED_MAX: usize = 2 << 20;
+/// The most bytes that the codec reads: 16 descriptions of contracts take 256 KiB.
+const CODED_MAX: usize = 512 << 10;
 
 /// The unit of a request's times, in microseconds: shorter numbers, and fine enough for deadlines.
 pub const TICK_US: u64 = 100;
