@@ -97,6 +97,8 @@ impl DirectoryActor {
             machine.handle_access((*policy).clone(), platform::now());
         }
         setup.registry.set_name_resolver(Arc::new(names.clone()));
+        // The actor may start on its own thread before this one goes on.
+        names.begin(machine);
         let make = move |_: &mut Context<Self>| DirectoryActor {
             wake: WakeTimer::default(),
             own: SortedMap::new(),
@@ -110,7 +112,7 @@ impl DirectoryActor {
             setup,
         };
         let actor = guardian.start(crate::net::named("directory"), arbiter, make);
-        names.begin(machine, actor.clone().recipient());
+        names.lead_to(actor.clone().recipient());
         DirectoryRecipients {
             #[cfg(test)]
             panic: actor.clone().recipient(),

@@ -77,9 +77,13 @@ impl Machine for DirectoryTable {
 }
 
 impl DirectoryTable {
-    /// The actor begins, with this machine, and takes claims.
-    pub(super) fn begin(&self, machine: Directory, actor: Recipient<ClaimCommand>) {
+    /// The actor is about to begin, with this machine.
+    pub(super) fn begin(&self, machine: Directory) {
         *lock(&self.0.machine) = Some(machine);
+    }
+
+    /// The actor has begun, and takes claims.
+    pub(super) fn lead_to(&self, actor: Recipient<ClaimCommand>) {
         // Called once, when the node starts.
         let _ = self.0.actor.set(actor);
     }
