@@ -281,7 +281,7 @@ fn our_own_address_is_nobody_elses_and_a_neighbours_is_one_of_the_medium() {
         refused(node().network(memory().peer("b", "a")), &["our own address"]).await;
         refused(node().network(memory().peer("b", "")), &["write the name of its end"]).await;
         let nameless = Network::memory("mem", &MemoryMedium::default(), "");
-        refused(node().network(nameless), &["name of our end is missing"]).await;
+        refused(node().network(nameless), &["own end of the memory medium has no name"]).await;
     });
 }
 
