@@ -353,6 +353,7 @@ impl Handler<SupervisorOrder> for SupervisorActor {
                 self.again = false;
                 self.machine.handle_end(now);
             }
+            SupervisorOrder::Carry(ChildOrder::ExpectEnd) => self.machine.handle_end_expected(now),
             SupervisorOrder::Carry(ChildOrder::Abandon | ChildOrder::CutOff) => {
                 self.watched.end(&self.name, DownReason::Abandoned);
                 self.machine.handle_forsake(now);

@@ -162,6 +162,7 @@ impl<C: Component> Child for ComponentChild<C> {
                 }
                 self.tell(self.cell.record.incarnation(), ChildEvent::Stopped);
             }
+            ChildOrder::ExpectEnd => {}
             ChildOrder::Retire => {
                 self.give_up(false);
                 self.cell.end();

@@ -57,6 +57,9 @@ pub struct ChildRules {
     /// The supervisor cannot do without it: if it is not worth restarting any more, or is put into
     /// the safe state because of a fault, the supervisor escalates.
     pub essential: bool,
+    /// It decides about children of its own: it is informed beforehand when its incarnation is
+    /// about to end.
+    pub supervises: bool,
 }
 
 impl Default for ChildRules {
@@ -68,6 +71,7 @@ impl Default for ChildRules {
             shutdown_within: Duration::from_secs(5),
             on_the_spot: false,
             essential: false,
+            supervises: false,
         }
     }
 }
@@ -92,6 +96,7 @@ impl ChildRules {
         ChildRules {
             ready_within: Duration::MAX,
             shutdown_within: Duration::MAX,
+            supervises: true,
             ..ChildRules::default()
         }
     }

@@ -140,7 +140,7 @@ impl Child for Scripted {
             ChildOrder::GrantRestart(granted) => {
                 self.call(if granted { "order" } else { "withdraw" });
             }
-            ChildOrder::Retire => {}
+            ChildOrder::ExpectEnd | ChildOrder::Retire => {}
         }
         false
     }

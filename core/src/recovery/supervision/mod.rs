@@ -51,8 +51,14 @@ enum Phase {
     Idle,
     Starting,
     Serving,
-    Ending { escalation: Option<String> },
-    Escalated { reason: String },
+    /// Its parent is about to end this incarnation.
+    Leaving,
+    Ending {
+        escalation: Option<String>,
+    },
+    Escalated {
+        reason: String,
+    },
 }
 
 #[derive(Clone, Debug)]
@@ -196,6 +202,19 @@ impl Supervisor {
         self.advance(now);
     }
 
+    /// The incarnation is about to end, with others that are stopped before it: nothing is started
+    /// any more.
+    pub fn handle_end_expected(&mut self, now: Instant) {
+        if self.at_work() {
+            self.phase = Phase::Leaving;
+            self.withdraw_all();
+            self.undo_additions(now);
+            let living: Vec<ChildKey> = self.living().collect();
+            self.announce_stops(living);
+            self.settle();
+        }
+    }
+
     /// Ends the incarnation: every child is stopped in reverse order.
     pub fn handle_end(&mut self, now: Instant) {
         self.end(None, now);
@@ -250,7 +269,7 @@ impl Supervisor {
         match &self.phase {
             Phase::Starting | Phase::Serving => {}
             // What becomes of it shows in the supervisor's next incarnation, if there is one.
-            Phase::Ending { .. } | Phase::Escalated { .. } if faulty.is_some() => {
+            Phase::Leaving | Phase::Ending { .. } | Phase::Escalated { .. } if faulty.is_some() => {
                 let child = self.kept(key);
                 child.failed = None;
                 let present = child.is_alive() && faulty >= Some(child.incarnation);
@@ -260,6 +279,7 @@ impl Supervisor {
                 }
                 return self.advance(now);
             }
+            Phase::Leaving => return self.settle(),
             Phase::Idle | Phase::Ending { .. } | Phase::Escalated { .. } => {
                 return self.refuse(call, GiveUpReason::NotAtWork);
             }
@@ -546,26 +566,29 @@ impl Supervisor {
     pub fn handle_own_restart(&mut self, now: Instant) {
         self.outputs.clear();
         self.pending.clear();
-        self.going.clear();
+        let going = std::mem::take(&mut self.going);
         let living: Vec<ChildKey> = self.living().collect();
         // Who has added them is not told, and removes them.
         self.children.values_mut().for_each(|child| child.joins = false);
         for key in living {
+            let foretold = going.contains(&key) && self.kept(key).rules.supervises;
             let (state, in_group) = (self.kept(key).state, self.coming.contains(&key));
             match state {
-                ChildPhase::Running => {
+                ChildPhase::Running if !foretold => {
                     self.coming.remove(&key);
                 }
                 ChildPhase::Resetting { .. } if !in_group => {
                     self.set_state(key, ChildPhase::Running);
                 }
-                ChildPhase::Unavailable => {}
+                ChildPhase::Unavailable if !foretold => {}
                 ChildPhase::Starting { .. }
                 | ChildPhase::Failing { .. }
                 | ChildPhase::Stopping { .. }
                 | ChildPhase::Down
+                | ChildPhase::Running
                 | ChildPhase::AwaitsReset { .. }
-                | ChildPhase::Resetting { .. } => {
+                | ChildPhase::Resetting { .. }
+                | ChildPhase::Unavailable => {
                     self.abandon(key);
                     if self.at_work() && self.kept(key).goal == ChildTarget::Run {
                         self.coming.insert(key);

@@ -131,8 +131,10 @@ impl Supervisor {
                         self.going.is_empty() && (self.coming.is_empty() || self.is_held_up())
                     }
                 };
+                // One that ends with its supervisor is at work again when that is.
+                let stays = self.phase != Phase::Leaving;
                 let up = matches!(child.state, ChildPhase::Running | ChildPhase::Unavailable);
-                (up && whole).then_some(Ok(Some(child.incarnation)))
+                (up && whole && stays).then_some(Ok(Some(child.incarnation)))
             }
         }
     }
@@ -244,7 +246,18 @@ impl Supervisor {
             }
         }
         finished.into_iter().for_each(|key| self.order(key, ChildOrder::Retire));
-        self.going.extend(going);
+        self.going.extend(going.iter().copied());
+        self.announce_stops(going);
+    }
+
+    /// These are going to be stopped, each when those behind it have ended: until then a supervisor
+    /// among them begins nothing that would have to be stopped again.
+    pub(super) fn announce_stops(&mut self, going: Vec<ChildKey>) {
+        for key in going {
+            if self.children[&key].rules.supervises {
+                self.order(key, ChildOrder::ExpectEnd);
+            }
+        }
     }
 
     /// Ends a child for good, or until it is started again on request.
@@ -448,7 +461,7 @@ impl Supervisor {
         let wanted = child.goal == ChildTarget::Run;
         let again = wanted
             && match &self.phase {
-                Phase::Starting | Phase::Serving => true,
+                Phase::Starting | Phase::Serving | Phase::Leaving => true,
                 // The parent restarts it, unless there is none.
                 Phase::Ending { escalation: Some(_) } => !self.rules.root,
                 Phase::Ending { escalation: None } | Phase::Idle | Phase::Escalated { .. } => false,
@@ -531,6 +544,7 @@ impl Supervisor {
         self.undo_additions(now);
         self.withdraw_all();
         self.going = self.living().collect();
+        self.announce_stops(self.going.iter().copied().collect());
         for child in self.children.values_mut() {
             child.failed = None;
         }

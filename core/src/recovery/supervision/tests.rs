@@ -77,6 +77,7 @@ impl Rig {
                 }
                 SupervisorOutput::Order { child, order } => match order {
                     ChildOrder::Stop { .. } => format!("stop {child}"),
+                    ChildOrder::ExpectEnd => format!("announce_stops {child}"),
                     ChildOrder::Retire => format!("retire {child}"),
                     ChildOrder::Abandon => format!("abandon {child}"),
                     ChildOrder::CutOff => format!("cut off {child}"),

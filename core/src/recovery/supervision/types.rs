@@ -81,6 +81,9 @@ pub enum ChildOrder {
         /// Another incarnation is to follow, so that what waits for the child goes on waiting.
         again: bool,
     },
+    /// The present incarnation is about to be asked to end, after others: a supervisor starts
+    /// nothing any more. No answer.
+    ExpectEnd,
     /// The child has no incarnation that works, and none is to follow: give back what waits for it,
     /// and give one up whose start has failed, with its last hooks. No answer. The next start takes
     /// the child up again.

@@ -240,20 +240,38 @@ fn a_temporary_member_behind_anothers_hang_is_abandoned_with_it() {
 }
 
 #[test]
+fn a_supervisor_of_a_group_is_told_beforehand_that_the_group_restarts() {
+    let sub = ChildRules::supervisor();
+    let children = [("a", permanent()), ("sub", sub), ("c", permanent())];
+    let mut rig = Rig::with(Strategy::RestForOne, 3, &children);
+    rig.begin();
+    for child in ["a", "sub", "c"] {
+        rig.started(child, 1);
+    }
+
+    let stuck = rig.restart("a", ReplacementCause::Stuck, 1);
+    assert_eq!(stuck, ["abandon a", "announce_stops sub", "stop c"]);
+    assert_eq!(rig.stopped("c", 1), ["stop sub"]);
+    assert_eq!(rig.stopped("sub", 1), ["start a #2"]);
+}
+
+#[test]
 fn an_ending_supervisor_starts_nothing_and_answers_after_its_restart() {
     let mut rig = Rig::serving(Strategy::OneForOne);
-    assert_eq!(rig.end(), ["stop c"]);
+    rig.machine.handle_end_expected(rig.now);
 
     assert_eq!(rig.restart("a", ReplacementCause::Behind, 1), ["abandon a"]);
     assert_eq!(rig.died("b", 1), [""; 0]);
     assert_eq!(rig.restart("b", ReplacementCause::Died, 1), [""; 0]);
+    assert_eq!(rig.restart("c", ReplacementCause::Faulty, 1), [""; 0], "it is no other one yet");
+    assert_eq!(rig.end(), ["stop c"]);
     assert_eq!(rig.restart("c", ReplacementCause::Behind, 1), ["abandon c", "all stopped"]);
 
     rig.machine.handle_begin(Incarnation(2), rig.now);
     assert_eq!(rig.outputs(), ["start a #2"]);
     assert_eq!(rig.started("a", 2), ["start b #2", "1 recovered a #2"]);
     assert_eq!(rig.started("b", 2), ["start c #2", "2 recovered b #2"]);
-    assert_eq!(rig.started("c", 2), ["all started", "3 recovered c #2"]);
+    assert_eq!(rig.started("c", 2), ["all started", "3 recovered c #2", "4 recovered c #2"]);
 }
 
 #[test]
