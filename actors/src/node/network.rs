@@ -59,7 +59,7 @@ pub struct Network {
     faults: Option<u64>,
     insecure: bool,
     kind: Option<MediumKind>,
-    discovery: Option<Discovery>,
+    discovery: Option<Discovered>,
     links: Vec<Link>,
 }
 
@@ -87,7 +87,7 @@ impl MediumKind {
 }
 
 /// How neighbours are found that are not described.
-struct Discovery {
+struct Discovered {
     /// The group by which beacons are sent.
     group: String,
     /// Those that get a link; `None` for nodes of any name.
@@ -214,14 +214,14 @@ impl Network {
     /// TCP.
     pub fn discover<'a>(mut self, group: &str, nodes: impl IntoIterator<Item = &'a str>) -> Self {
         let nodes = nodes.into_iter().map(str::to_owned).collect();
-        self.discovery = Some(Discovery { group: group.to_owned(), nodes: Some(nodes) });
+        self.discovery = Some(Discovered { group: group.to_owned(), nodes: Some(nodes) });
         self
     }
 
     /// Does as [`discover`](Network::discover), and discovers neighbours of any name. On a sealed
     /// network these are the nodes of the roster.
     pub fn discover_anybody(mut self, group: &str) -> Self {
-        self.discovery = Some(Discovery { group: group.to_owned(), nodes: None });
+        self.discovery = Some(Discovered { group: group.to_owned(), nodes: None });
         self
     }
 

@@ -1,6 +1,6 @@
 //! The multicast group at which a node makes itself known.
 
-use super::{Discovery, Medium, Network};
+use super::{Discovered, Medium, Network};
 use crate::node::error::StartError;
 #[cfg(feature = "ip")]
 use blastema_transports::{Endpoint, UdpConfig};
@@ -16,7 +16,7 @@ pub(super) struct Beacons {
 impl Network {
     /// The socket of its beacons, if it has some.
     pub(super) fn beacon_socket(&self) -> Result<Option<Beacons>, StartError> {
-        let Some(Discovery { group, .. }) = &self.discovery else { return Ok(None) };
+        let Some(Discovered { group, .. }) = &self.discovery else { return Ok(None) };
         let wrong = |what| Err(StartError::Network(format!("network {}: {what}", self.name)));
         #[cfg(feature = "ip")]
         if let Medium::At(Endpoint::Udp(UdpConfig { group: Some(_), .. })) = &self.medium {

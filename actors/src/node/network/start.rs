@@ -1,7 +1,7 @@
 //! Starts the transports of a network that was described.
 
 use super::beacons::Beacons;
-use super::{Cable, Discovery, Link, Medium, Network};
+use super::{Cable, Discovered, Link, Medium, Network};
 use crate::net::{DiscoverySpec, LinkSpec, NetworkSpec};
 use crate::node::error::StartError;
 use crate::platform;
@@ -200,7 +200,7 @@ impl Network {
 
     /// Who is admitted, but for those that are described.
     pub(super) fn admission(&self) -> Result<Option<DiscoveryAdmission>, StartError> {
-        let Some(Discovery { nodes, .. }) = &self.discovery else { return Ok(None) };
+        let Some(Discovered { nodes, .. }) = &self.discovery else { return Ok(None) };
         let Some(nodes) = nodes else { return Ok(Some(DiscoveryAdmission::AnyNode)) };
         let nodes: Result<_, _> = nodes.iter().map(|node| NodeName::new(node)).collect();
         let of = format!("the name of a node that network {} is discovered by", self.name);
