@@ -299,7 +299,7 @@ impl NodeKeys {
         profile: SealProfile,
     ) -> Sealer<NoiseCrypto, MediumAddress> {
         let (config, random) = self.sealer_config(incarnation, profile);
-        Sealer::new(config, self.own.seed.handshakes(), *random)
+        Sealer::new(config, self.own.seed.handshakes(), *random, platform::now())
     }
 
     /// Signatures and seals for a router, for each life of it.
@@ -308,7 +308,7 @@ impl NodeKeys {
     /// As [`sealer`](NodeKeys::sealer).
     pub(super) fn router_keys(&self, incarnation: Incarnation) -> RouterKeys {
         let (config, random) = self.sealer_config(incarnation, SealProfile::Full);
-        RouterKeys::new(&self.own.seed, &self.roster, config, *random)
+        RouterKeys::new(&self.own.seed, &self.roster, config, *random, platform::now())
     }
 
     /// The roster.

@@ -10,7 +10,7 @@
 //!
 //! **With keys** every frame is sealed for the neighbour, hellos included, and a frame belongs to
 //! the link whose neighbour has sealed it: an address proves nothing. What no node of this robot
-//! has sealed is counted by [`LinkLayer::strangers`] and reaches no link. A neighbour that shakes hands in
+//! has sealed is counted in [`SealRefusals`] and reaches no link. A neighbour that shakes hands in
 //! another incarnation has restarted; its link goes down at once.
 //!
 //! Nodes may *dial in*, as into a PPP server, if their keys are given: a link is made for one when
@@ -26,7 +26,8 @@ use super::link::{LinkOutput, LinkState};
 use super::link_traffic::LinkTraffic;
 use super::seal::cipher::PUBLIC_KEY;
 use super::seal::{
-    ChannelStatus, FrameLane, OpenedFrame, PeerKeyError, SealCrypto, Sealer, SealerOutput,
+    ChannelStatus, FrameLane, OpenedFrame, PeerKeyError, SealCrypto, SealRefusals, Sealer,
+    SealerOutput,
 };
 use super::wire::Refusals;
 use super::wire::frame::{Frame, NameHolder, is_hello, is_urgent};
@@ -355,11 +356,15 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
         LinkTraffic { frames_dropped: carried.frames_dropped + not_up, ..carried }
     }
 
-    /// What was refused that came from addresses which no link leads to, or, where frames are
-    /// sealed, without proof of its sender: all but duplicates, which every network makes.
+    /// What was refused that came from addresses which no link leads to; nothing where frames are
+    /// sealed.
     pub fn strangers(&self) -> Refusals {
-        let refusals = self.sealer.as_ref().map_or(self.strangers, Sealer::refusals);
-        Refusals { stale: 0, ..refusals }
+        self.strangers
+    }
+
+    /// What was refused without proof of its sender; `None` where frames are not sealed.
+    pub fn seal_refusals(&self) -> Option<&SealRefusals> {
+        self.sealer.as_ref().map(Sealer::refusals)
     }
 
     /// Gives one link an input.

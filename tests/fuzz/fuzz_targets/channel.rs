@@ -16,7 +16,7 @@ fuzz_target!(|script: (bool, Vec<(u16, bool, Vec<u8>)>)| {
     let node = NodeId(5);
     let profile = if compact { SealProfile::Compact } else { SealProfile::Full };
     let config = SealerConfig { profile, ..SealerConfig::new(node, Incarnation(7), "ranger") };
-    let mut sealer = Sealer::new(config, NoiseCrypto::new([1; 32]), [2; 32]);
+    let mut sealer = Sealer::new(config, NoiseCrypto::new([1; 32]), [2; 32], now);
     for peer in [1, 9] {
         let public = NoiseCrypto::new([peer; 32]).public_key();
         sealer.add_peer(NodeId(peer.into()), &public).expect("a good key");

@@ -22,7 +22,7 @@ fn name(text: &str) -> NodeName {
     NodeName::new(text).expect("a good name")
 }
 
-fn keys() -> RouterKeys {
+fn keys(now: Instant) -> RouterKeys {
     let nodes = ["m1", "m2", "m3"].into_iter().zip(1..);
     let listed = nodes.map(|(node, seed)| RosterNode {
         name: name(node),
@@ -31,7 +31,7 @@ fn keys() -> RouterKeys {
     });
     let roster = NodeRoster::new(name("robot"), listed).expect("different names");
     let config = SealerConfig::new(NodeId::of(&name("m1")), Incarnation(7), "robot");
-    RouterKeys::new(&Seed::new([1; 32]), &roster, config, [9; 32])
+    RouterKeys::new(&Seed::new([1; 32]), &roster, config, [9; 32], now)
 }
 
 type Script = (bool, Vec<(u8, u16, bool, Vec<u8>)>);
@@ -43,7 +43,7 @@ fuzz_target!(|script: Script| {
         RouterConfig { nodes_max: NODES_MAX, ..RouterConfig::new(name("m1"), Incarnation(7)) };
     let mut router = Router::new(config, now);
     if has_keys {
-        router = router.with_keys(keys());
+        router = router.with_keys(keys(now));
     }
     for (number, neighbour) in [(0, "m2"), (1, "m3")] {
         let neighbour = Neighbour { node: name(neighbour), incarnation: Incarnation(9) };

@@ -7,8 +7,9 @@ use crate::platform;
 use blastema_contract::transport::MediumAddress;
 use blastema_core::detection::LinkCondition;
 use blastema_core::net::link::PeerRefusal;
+use blastema_core::net::seal::SealRefusals;
 use blastema_core::net::wire::frame::NameHolder;
-use blastema_core::net::{Link, LinkId, Quality};
+use blastema_core::net::{Link, LinkId, Quality, Refusals};
 use blastema_core::{FaultKind, Incarnation};
 use std::time::Duration;
 use tracing::{error, warn};
@@ -22,7 +23,11 @@ impl LinksActor {
     pub(super) fn look_at_refusals(&mut self) {
         let links = self.bundle.iter().map(|(number, _)| number);
         let links = links.map(|number| (Some(number), self.bundle.refused_of(number)));
-        let looks: Vec<_> = links.chain([(None, self.bundle.strangers())]).collect();
+        let others = match self.bundle.seal_refusals() {
+            Some(refusals) => Refusals { unexpected: refusals.total(), ..Refusals::default() },
+            None => self.bundle.strangers(),
+        };
+        let looks: Vec<_> = links.chain([(None, others)]).collect();
         for (number, refusals) in looks {
             let alarm = self.complaints.handle_look(number, refusals);
             let Some(since) = alarm else { continue };
@@ -66,7 +71,7 @@ impl LinksActor {
         let Some(spec) = self.specs.get(&number) else { return };
         let who = spec.neighbour.as_ref().map_or("the neighbour", |node| node.as_str());
         let remote = &spec.remote;
-        let unsealed = self.bundle.is_sealed().then(|| self.bundle.strangers().total());
+        let unsealed = self.bundle.seal_refusals().map(SealRefusals::total);
         let refusals = self.bundle.refused_of(number);
         let reason = match unsealed {
             _ if hello_received => format!(

@@ -17,8 +17,8 @@
 
 use super::{Router, RouterOutput};
 use crate::net::seal::{
-    ChannelPurpose, ChannelStatus, FrameLane, NoiseCrypto, OpenedFrame, SealProfile, Sealer,
-    SealerConfig, SealerOutput, is_handshake, is_seal_frame,
+    ChannelPurpose, ChannelStatus, FrameLane, NoiseCrypto, OpenedFrame, SealProfile, SealRefusals,
+    Sealer, SealerConfig, SealerOutput, is_handshake, is_seal_frame,
 };
 use crate::net::trust::crypto::{AdvertisementSigner, PublicKey, PublicKeys, Seed};
 use crate::net::trust::roster::NodeRoster;
@@ -62,12 +62,18 @@ pub(super) enum SignatureCheck {
 impl RouterKeys {
     /// The keys of the node that has this seed. The configuration is that of the seals of paths;
     /// the random bytes are the system's, and used once.
-    pub fn new(seed: &Seed, roster: &NodeRoster, config: SealerConfig, random: [u8; 32]) -> Self {
+    pub fn new(
+        seed: &Seed,
+        roster: &NodeRoster,
+        config: SealerConfig,
+        random: [u8; 32],
+        now: Instant,
+    ) -> Self {
         let (own, profile) = (config.node, SealProfile::Full);
         let (purpose, exchange_time) = (ChannelPurpose::Path, EXCHANGE_TIME);
         let config = SealerConfig { purpose, profile, exchange_time, ..config };
         let robot = config.robot.clone();
-        let sealer = Sealer::new(config, seed.handshakes(), random);
+        let sealer = Sealer::new(config, seed.handshakes(), random, now);
         let signer = seed.advertisement_signer();
         let listed = listed(roster, own);
         RouterKeys { robot, signer, listed, sealer }
@@ -130,6 +136,11 @@ impl Router {
         self.keys = Some(keys);
         self.sign();
         self
+    }
+
+    /// What was refused of the seals of paths; `None` without keys.
+    pub fn seal_refusals(&self) -> Option<&SealRefusals> {
+        self.keys.as_ref().map(|keys| keys.sealer.refusals())
     }
 
     /// The keys for what goes to this node over relays, while both have agreed on them.

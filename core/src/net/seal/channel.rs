@@ -69,9 +69,15 @@ pub enum OpenError {
     /// A duplicate, or older than the window. Networks duplicate and reorder; so do attackers.
     #[error("seen before, or too old")]
     Stale,
-    /// The holder of the channel's keys, or, of a handshake, of the pair's key, has not made it.
-    #[error("not from a node that has the key")]
+    /// The holder of the channel's keys has not sealed it.
+    #[error("not sealed by the peer")]
     Forged,
+    /// Its sender does not have the key of the pair.
+    #[error("not from a node that has the pair's key")]
+    Filtered,
+    /// A handshake's frame that was received before.
+    #[error("a handshake that was seen before")]
+    Repeated,
     /// There are more handshakes than this node takes part in.
     #[error("too many handshakes")]
     Limited,

@@ -54,7 +54,7 @@ impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
         if initiator {
             self.push_begin(node);
         } else {
-            self.knock(node);
+            self.knock(node, now);
         }
         self.schedule(node, now);
     }
@@ -95,7 +95,7 @@ impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
         let Some(peer) = self.peers.get_mut(&node) else { return };
         let Some(approach) = peer.approach() else { return };
         match approach {
-            Approach::Knocking => self.knock(node),
+            Approach::Knocking => self.knock(node, now),
             Approach::Asking { since, init, to, .. } if now - *since < first * 10 => {
                 // Another address was not given to this node: a knock named it, which may be a
                 // replay, and gets one init. The peer knocks again.
@@ -105,10 +105,9 @@ impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
                     self.transmit(to, frame);
                 }
             }
-            Approach::Confirming { since } if now - *since < first * 20 => {
-                if let Some(to) = peer.address.clone() {
-                    self.confirm(node, to);
-                }
+            Approach::Confirming { to, since } if now - *since < first * 20 => {
+                let to = to.clone();
+                self.confirm(node, to);
             }
             Approach::Waiting | Approach::Asking { .. } | Approach::Confirming { .. } => {
                 self.wait_for_turn(node);
@@ -117,7 +116,7 @@ impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
         self.schedule(node, now);
     }
 
-    fn knock(&mut self, node: NodeId) {
+    fn knock(&mut self, node: NodeId, now: Instant) {
         let nonce = u64::from_be_bytes(*self.seeds.next_seed().first_chunk().expect("32 bytes"));
         let knock = HandshakeFrame::Knock { from: self.config.node, to: node, nonce };
         if let Some(peer) = self.peers.get(&node)
@@ -235,7 +234,7 @@ impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
                 let answer = offer.answer.clone();
                 self.transmit(from.clone(), answer);
             }
-            return Err(OpenError::Stale);
+            return Err(OpenError::Repeated);
         }
         if !self.budget.add((), now) {
             return Err(OpenError::Limited);
@@ -258,7 +257,7 @@ impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
         now: Instant,
     ) -> Result<(), OpenError> {
         if self.repeats.contains(node, nonce) {
-            return Err(OpenError::Stale);
+            return Err(OpenError::Repeated);
         }
         let peer = self.peer(node)?;
         if let Some(Approach::Asking { init, to, .. }) = peer.approach()
@@ -380,14 +379,11 @@ impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
     fn complete(&mut self, node: NodeId, answer: &AnswerFrame, to: A, now: Instant) {
         let Some(peer) = self.peers.get_mut(&node) else { return };
         let Some(attempt) = &mut peer.attempt else { return };
-        let Approach::Asking { handshake, init, to: asked, .. } = &mut attempt.approach else {
-            return;
-        };
+        let Approach::Asking { handshake, init, .. } = &mut attempt.approach else { return };
         if init.channel != answer.answered {
             return;
         }
         let (suite, number, ephemeral) = (init.suite, init.channel, init.ephemeral());
-        let asked = asked.clone();
         let Some((payload, keys)) = self.crypto.read_answer(handshake, &answer.noise) else {
             peer.refused += 1;
             return;
@@ -406,10 +402,8 @@ impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
         }
         // Its answer is fresh, since it depends on our ephemeral key: no confirmation is needed.
         peer.channels.replace(channel, &self.config.limits, now);
-        // Where it came from may be forged: that gets one confirmation, which is shorter. What is
-        // repeated goes where the peer is known to be.
-        peer.address.get_or_insert(asked);
-        peer.restart(Approach::Confirming { since: now }, now);
+        peer.address = Some(to.clone());
+        peer.restart(Approach::Confirming { to: to.clone(), since: now }, now);
         self.index(node);
         self.confirm(node, to);
         self.schedule(node, now);

@@ -35,7 +35,7 @@
 //! code, which needs a key of the pair; the memory of repeats; a budget of 64 within a second. All of
 //! it takes less than 64 KiB, and no address receives more bytes than came from there.
 //!
-//! **Attribution.** What was not opened is counted by [`Sealer::refusals`] and is no peer's fault:
+//! **Attribution.** What was not opened is counted in [`SealRefusals`] and is no peer's fault:
 //! every node on the medium can send it. [`Sealer::refused_of`] counts what only a holder of the
 //! pair's key can have sent.
 //!
@@ -214,6 +214,46 @@ pub enum SealerOutput<A> {
     },
 }
 
+/// What was refused without proof of its sender, by reason.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SealRefusals {
+    /// Not sealed, of another release, or cut.
+    pub malformed: Refusals,
+    /// For a channel, or from a node, that is not known.
+    pub unknown: u64,
+    /// Duplicates, and what is too old.
+    pub stale: u64,
+    /// Not sealed by the holder of the keys.
+    pub forged: u64,
+    /// Handshakes without the pair's key.
+    pub filtered: u64,
+    /// Handshakes that were seen before.
+    pub repeated: u64,
+    /// Handshakes beyond the budget.
+    pub limited: u64,
+}
+
+impl SealRefusals {
+    /// All of them, but duplicates, which every network makes.
+    pub fn total(&self) -> u64 {
+        let SealRefusals { malformed, unknown, stale: _, forged, filtered, repeated: _, limited } =
+            self;
+        malformed.total() + unknown + forged + filtered + limited
+    }
+
+    fn count(&mut self, error: &OpenError) {
+        match error {
+            OpenError::Malformed(error) => self.malformed.count(error),
+            OpenError::Unknown => self.unknown += 1,
+            OpenError::Stale => self.stale += 1,
+            OpenError::Forged => self.forged += 1,
+            OpenError::Filtered => self.filtered += 1,
+            OpenError::Repeated => self.repeated += 1,
+            OpenError::Limited => self.limited += 1,
+        }
+    }
+}
+
 /// Why a peer's public key is not taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PeerKeyError {
@@ -251,14 +291,14 @@ pub struct Sealer<C: SealCrypto, A> {
     budget: SlidingWindow,
     /// Messages of handshakes that wait for their turn.
     steps: VecDeque<HandshakeStep<A>>,
-    refusals: Refusals,
+    refusals: SealRefusals,
     wake_at: Option<Instant>,
     outputs: VecDeque<SealerOutput<A>>,
 }
 
 impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
     /// A sealer without peers. The seed is of the system's random source, and used once.
-    pub fn new(config: SealerConfig, crypto: C, seed: [u8; 32]) -> Self {
+    pub fn new(config: SealerConfig, crypto: C, seed: [u8; 32], now: Instant) -> Self {
         Sealer {
             config,
             crypto,
@@ -268,7 +308,7 @@ impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
             budget: SlidingWindow::new(BUDGET, BUDGET_PERIOD),
             seeds: SeedGenerator::new(seed),
             steps: VecDeque::new(),
-            refusals: Refusals::default(),
+            refusals: SealRefusals::default(),
             wake_at: None,
             outputs: VecDeque::new(),
         }
@@ -395,12 +435,7 @@ impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
             Some(first) if SealHeader::begins_with(*first) => self.open(frame, from, now),
             _ => self.handle_handshake(&frame, from, now).map(|()| None),
         };
-        received.inspect_err(|error| match error {
-            OpenError::Malformed(error) => self.refusals.count(error),
-            OpenError::Unknown | OpenError::Limited => self.refusals.unexpected += 1,
-            OpenError::Stale => self.refusals.stale += 1,
-            OpenError::Forged => self.refusals.forged += 1,
-        })
+        received.inspect_err(|error| self.refusals.count(error))
     }
 
     fn open(
@@ -463,8 +498,8 @@ impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
     }
 
     /// What was refused so far without proof of its sender.
-    pub fn refusals(&self) -> Refusals {
-        self.refusals
+    pub fn refusals(&self) -> &SealRefusals {
+        &self.refusals
     }
 
     /// What was refused so far that only a holder of this pair's key can have sent.

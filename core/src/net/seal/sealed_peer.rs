@@ -52,7 +52,7 @@ pub(super) enum Approach<H, A> {
     /// The peer is the initiator: it has sent a knock.
     Knocking,
     /// It has sealed frames under new keys, and has received none.
-    Confirming { since: Instant },
+    Confirming { to: A, since: Instant },
 }
 
 impl PairKeys {
@@ -73,8 +73,8 @@ impl PairKeys {
 
     /// Whether the sender of a frame of a handshake has the pair's key.
     pub(super) fn has_proof(&self, frame: &[u8]) -> Result<(), OpenError> {
-        let (covered, mac) = frame.split_last_chunk::<8>().ok_or(OpenError::Forged)?;
-        if self.filter.verify_short(&[covered], mac) { Ok(()) } else { Err(OpenError::Forged) }
+        let (covered, mac) = frame.split_last_chunk::<8>().ok_or(OpenError::Filtered)?;
+        if self.filter.verify_short(&[covered], mac) { Ok(()) } else { Err(OpenError::Filtered) }
     }
 }
 
@@ -117,7 +117,7 @@ impl<C: SealCrypto, A> SealedPeer<C, A> {
     /// open in the same incarnation.
     ///
     /// The address that a frame came from may be forged. It does not replace one that the caller
-    /// has given, or to which an answered init was sent.
+    /// has given, or that has answered an init.
     pub(super) fn handle_open(&mut self, incarnation: Incarnation, from: A) -> bool {
         self.attempt = None;
         self.address.get_or_insert(from);

@@ -104,7 +104,7 @@ impl Relay {
         let (own, incarnation) = (named("relay"), Incarnation(7));
         let now = Instant::from_millis(1);
         let config = SealerConfig::new(NodeId::of(&own), incarnation, "ranger");
-        let sealer = Sealer::new(config.clone(), key.seed.handshakes(), [3; 32]);
+        let sealer = Sealer::new(config.clone(), key.seed.handshakes(), [3; 32], now);
         let mut links = LinkLayer::new(Some(sealer));
         for (place, end) in ENDS.iter().enumerate() {
             let node = NodeId::of(&named(end));
@@ -116,7 +116,7 @@ impl Relay {
             links.insert(number, link, End(place), key, now).expect("a key");
         }
         links.handle_mtu(MTU, false);
-        let keys = RouterKeys::new(&key.seed, &roster, config, [4; 32]);
+        let keys = RouterKeys::new(&key.seed, &roster, config, [4; 32], now);
         let router = Router::new(RouterConfig::new(own, incarnation), now).with_keys(keys);
         let passed = [Vec::new(), Vec::new()];
         socket.set_read_timeout(Some(Duration::from_millis(1))).expect("it is bound");

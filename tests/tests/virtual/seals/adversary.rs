@@ -85,7 +85,7 @@ impl<C: SealCrypto, F: Fn(u32) -> C> World<C, F> {
         };
         let mut seed = [0; 32];
         seed[..8].copy_from_slice(&self.random.next().to_be_bytes());
-        let mut sealer = Sealer::new(config, (self.crypto)(node), seed);
+        let mut sealer = Sealer::new(config, (self.crypto)(node), seed, self.now);
         for peer in (0..NODES).filter(|peer| *peer != node) {
             sealer.add_peer(NodeId(peer), &(self.public)(peer)).expect("a good key");
         }

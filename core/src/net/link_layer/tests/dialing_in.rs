@@ -61,8 +61,8 @@ fn no_other_node_dials_in() {
 
     assert_eq!(dialed_in(&mut world), []);
     assert!(!make_link(&mut world, LATER, 0), "it has not proved itself");
-    let refusals = world.ends[1].strangers();
-    assert!(refusals.unexpected > 0, "{refusals:?}");
+    let refusals = world.ends[1].seal_refusals().expect("it is sealed");
+    assert!(refusals.unknown > 0, "{refusals:?}");
 }
 
 #[test]

@@ -88,7 +88,7 @@ impl Net {
         let Some(roster) = &self.roster else { return router };
         let config = SealerConfig::new(NodeId::of(&name), incarnation, "ranger");
         let random = [incarnation.0 as u8; 32];
-        let keys = RouterKeys::new(&seed(name.as_str()), roster, config, random);
+        let keys = RouterKeys::new(&seed(name.as_str()), roster, config, random, self.now);
         router.with_keys(keys)
     }
 

@@ -2,6 +2,15 @@
 
 use super::*;
 
+fn bytes<const N: usize>(hex: &str) -> [u8; N] {
+    unhex(hex).try_into().expect("so many bytes")
+}
+
+fn unhex(hex: &str) -> Vec<u8> {
+    let digit = |at: usize| u8::from_str_radix(&hex[at..at + 2], 16).unwrap();
+    (0..hex.len()).step_by(2).map(digit).collect()
+}
+
 fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -62,14 +62,14 @@ fn a_repeated_init_is_answered_as_before_and_changes_nothing() {
     let answer = transmitted(&mut medium.ends[1]).remove(0);
 
     for _ in 0..100 {
-        assert_eq!(medium.deliver(0, init.clone()), Err(OpenError::Stale));
+        assert_eq!(medium.deliver(0, init.clone()), Err(OpenError::Repeated));
         assert!(!medium.ends[1].has_handshake_step());
         assert_eq!(transmitted(&mut medium.ends[1]), std::slice::from_ref(&answer));
     }
     medium.deliver(1, answer).unwrap();
     medium.run_until(20);
     medium.assert_talks();
-    assert_eq!(medium.deliver(0, init), Err(OpenError::Stale));
+    assert_eq!(medium.deliver(0, init), Err(OpenError::Repeated));
     assert_eq!(transmitted(&mut medium.ends[1]), Vec::<Bytes>::new(), "the offer was accepted");
     medium.assert_talks();
 }
@@ -118,7 +118,7 @@ fn a_recorded_init_of_an_earlier_incarnation_makes_an_offer_and_accuses_no_peer(
 fn a_second_node_with_the_peers_key_is_refused_and_reported_while_the_peer_is_heard() {
     for copied in [0, 1] {
         let mut medium = Medium::open(0);
-        let mut copy = end(config(peer_of(1 - copied), 99), 77);
+        let mut copy = end(config(peer_of(1 - copied), 99), at(0), 77);
         medium.assert_talks();
         let victim = 1 - copied;
         // As initiator it asks; as responder it knocks, and is asked.
@@ -167,9 +167,9 @@ fn a_recorded_knock_is_heard_once_and_knocks_twice_a_second_at_most() {
     };
 
     assert_eq!(knock(0, 3_000), Ok(()));
-    assert_eq!(knock(0, 3_000), Err(OpenError::Stale));
+    assert_eq!(knock(0, 3_000), Err(OpenError::Repeated));
     assert_eq!(knock(1, 3_499), Ok(()), "the same init, for what may have been lost");
-    assert_eq!(knock(1, 9_000), Err(OpenError::Stale));
+    assert_eq!(knock(1, 9_000), Err(OpenError::Repeated));
     let elsewhere = medium.ends[0].handle_frame(knocks[2].clone(), &77, at(3_499));
     assert_eq!(elsewhere, Err(OpenError::Limited));
 }
@@ -214,7 +214,7 @@ fn an_init_that_is_repeated_from_elsewhere_first_does_not_lead_the_responder_the
     medium.ends[1].handle_frame(init.clone(), &77, at(0)).unwrap();
     medium.ends[1].handle_turn(at(0));
     assert_eq!(transmitted(&mut medium.ends[1]).len(), 1);
-    assert_eq!(medium.deliver(0, init), Err(OpenError::Stale));
+    assert_eq!(medium.deliver(0, init), Err(OpenError::Repeated));
     let answer = transmitted(&mut medium.ends[1]).remove(0);
     medium.deliver(1, answer).unwrap();
     medium.run_until(20);
@@ -229,7 +229,7 @@ fn an_init_that_is_repeated_from_elsewhere_first_does_not_lead_the_responder_the
 fn exhaust(right: &mut End, now: u64) {
     let mut spent = 0;
     for seed in 0..80 {
-        let mut left = end(config(LEFT, 5), 150 + seed);
+        let mut left = end(config(LEFT, 5), at(now), 150 + seed);
         left.connect(RIGHT, 0, at(now));
         left.handle_turn(at(now));
         for init in transmitted(&mut left) {
@@ -245,7 +245,7 @@ fn beyond_the_budget_an_init_is_refused_until_a_second_has_passed() {
     let mut medium = Medium::new(config(LEFT, 11), config(RIGHT, 22));
     exhaust(&mut medium.ends[1], 0);
     assert_eq!(transmitted(&mut medium.ends[1]).len(), 64);
-    assert_eq!(medium.ends[1].refusals().unexpected, 16);
+    assert_eq!(medium.ends[1].refusals().limited, 16);
 
     medium.connect(0);
     medium.run_until(900);
@@ -256,11 +256,11 @@ fn beyond_the_budget_an_init_is_refused_until_a_second_has_passed() {
 
 #[test]
 fn bytes_to_an_address_are_no_more_than_bytes_from_there() {
-    let mut right = end(config(RIGHT, 22), 2);
+    let mut right = end(config(RIGHT, 22), at(0), 2);
     let (mut received, mut sent) = (0, 0);
     let mut random = Random::new(3);
     for seed in 0..150 {
-        let mut left = end(config(LEFT, 5), seed);
+        let mut left = end(config(LEFT, 5), at(0), seed);
         left.connect(RIGHT, 0, at(0));
         left.handle_turn(at(0));
         let init = transmitted(&mut left).remove(0);
@@ -291,12 +291,12 @@ fn what_is_kept_before_authentication_takes_less_than_64_kib() {
 #[test]
 fn the_seventeenth_offer_withdraws_the_first() {
     let far = NodeId(1_000);
-    let mut right = end(config(far, 22), 2);
+    let mut right = end(config(far, 22), at(0), 2);
     for node in 10..27 {
         let node = NodeId(node);
         let public = NoiseCrypto::new(secret(node)).public_key();
         right.add_peer(node, &public).unwrap();
-        let mut left = Sealer::new(config(node, 1), NoiseCrypto::new(secret(node)), [3; 32]);
+        let mut left = Sealer::new(config(node, 1), NoiseCrypto::new(secret(node)), [3; 32], at(0));
         let public = NoiseCrypto::new(secret(far)).public_key();
         left.add_peer(far, &public).unwrap();
         left.connect(far, 0, at(0));

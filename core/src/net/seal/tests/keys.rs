@@ -111,12 +111,12 @@ fn another_key_for_a_known_peer_ends_the_channel_and_the_same_one_does_not() {
     assert!(medium.send(1, "text").is_none());
     medium.connect(0);
     medium.run_until(1_000);
-    assert!(!medium.open_ends()[1] && medium.ends[1].refusals().forged > 0);
+    assert!(!medium.open_ends()[1] && medium.ends[1].refusals().filtered > 0);
 }
 
 #[test]
 fn keys_that_are_none_and_a_nodes_own_number_are_refused() {
-    let mut left = end(config(LEFT, 1), 1);
+    let mut left = end(config(LEFT, 1), at(0), 1);
     assert_eq!(left.add_peer(NodeId(9), &[0; 32]), Err(PeerKeyError::LowOrder(NodeId(9))));
     assert_eq!(left.add_peer(LEFT, &[5; 32]), Err(PeerKeyError::Ourselves(LEFT)));
 }
