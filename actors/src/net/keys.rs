@@ -54,6 +54,14 @@ pub struct RosterRow {
     pub nodes: usize,
 }
 
+/// How the frames of one network are sealed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct SealTerms {
+    pub(crate) profile: SealProfile,
+    /// A sender on the medium can claim any address.
+    pub(crate) forgeable_addresses: bool,
+}
+
 /// Why a roster does not count.
 #[derive(Debug)]
 pub(super) struct RosterRefusal {
@@ -296,9 +304,9 @@ impl NodeKeys {
     pub(crate) fn sealer(
         &self,
         incarnation: Incarnation,
-        profile: SealProfile,
+        terms: SealTerms,
     ) -> Sealer<NoiseCrypto, MediumAddress> {
-        let (config, random) = self.sealer_config(incarnation, profile);
+        let (config, random) = self.sealer_config(incarnation, terms);
         Sealer::new(config, self.own.seed.handshakes(), *random, platform::now())
     }
 
@@ -307,7 +315,9 @@ impl NodeKeys {
     /// # Panics
     /// As [`sealer`](NodeKeys::sealer).
     pub(super) fn router_keys(&self, incarnation: Incarnation) -> RouterKeys {
-        let (config, random) = self.sealer_config(incarnation, SealProfile::Full);
+        // A relay can put any source on a packet.
+        let terms = SealTerms { profile: SealProfile::Full, forgeable_addresses: true };
+        let (config, random) = self.sealer_config(incarnation, terms);
         RouterKeys::new(&self.own.seed, &self.roster, config, *random, platform::now())
     }
 
@@ -319,12 +329,14 @@ impl NodeKeys {
     fn sealer_config(
         &self,
         incarnation: Incarnation,
-        profile: SealProfile,
+        terms: SealTerms,
     ) -> (SealerConfig, Zeroizing<[u8; 32]>) {
+        let SealTerms { profile, forgeable_addresses } = terms;
         let node = NodeId::of(&self.own.node);
         let config = SealerConfig {
             profile,
             fast_aes: platform::has_aes(),
+            forgeable_addresses,
             ..SealerConfig::new(node, incarnation, self.robot().as_str())
         };
         let random = platform::random_bytes().expect("the system gave random numbers at the start");

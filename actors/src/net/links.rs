@@ -11,7 +11,7 @@ use discovered::NetworkDiscovery;
 
 use super::LinkSpec;
 use super::fault_reporter::FaultReporter;
-use super::keys::NodeKeys;
+use super::keys::{NodeKeys, SealTerms};
 use super::own_name::OwnName;
 use super::roster_watch::RosterChanged;
 use crate::platform;
@@ -80,7 +80,7 @@ pub(super) struct LinksRecipients {
     pub(super) stalls: Option<Recipient<LivenessReported>>,
     pub(super) faults: FaultReporter,
     /// Where frames are sealed: by which keys, and how.
-    pub(super) seal: Option<(Arc<NodeKeys>, SealProfile)>,
+    pub(super) seal: Option<(Arc<NodeKeys>, SealTerms)>,
     /// The numbers of links to operators that come by themselves.
     pub(super) dial_in: Vec<LinkId>,
 }
@@ -149,7 +149,7 @@ impl LinksActor {
     fn build(&mut self, now: Instant) {
         // Keys and counters die with the links: none is ever used by another life of them.
         let sealer = self.wiring.seal.as_ref();
-        let sealer = sealer.map(|(keys, profile)| keys.sealer(self.wiring.incarnation, *profile));
+        let sealer = sealer.map(|(keys, terms)| keys.sealer(self.wiring.incarnation, *terms));
         self.bundle = LinkLayer::new(sealer);
         self.let_operators_dial_in();
         self.unheard.clear();

@@ -65,7 +65,6 @@ use blastema_contract::strategy::{IsolateNode, Reroute};
 use blastema_contract::transport::{MediumAddress, ReadCounters, Transport, TransportCounters};
 use blastema_core::net::LinkId;
 use blastema_core::net::discovery::LEARNED_MAX;
-use blastema_core::net::seal::SealProfile;
 use blastema_core::sorted::SortedSet;
 use blastema_core::{Incarnation, NodeName, ObjectName};
 use roster_watch::RosterWatch;
@@ -86,7 +85,7 @@ pub(crate) struct NetworkSpec {
     /// How others are learned of, if they are.
     pub(crate) discovery: Option<DiscoverySpec>,
     /// How its frames are sealed, if they are.
-    pub(crate) seal: Option<SealProfile>,
+    pub(crate) seal: Option<keys::SealTerms>,
 }
 
 /// One neighbour on one medium.

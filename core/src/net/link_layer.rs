@@ -38,10 +38,11 @@ use crate::{GatherBuffer, Incarnation, Instant, Machine};
 use bytes::Bytes;
 use std::collections::VecDeque;
 use std::fmt;
+use std::hash::Hash;
 use std::time::Duration;
 
 /// An address of a medium.
-pub trait LinkAddress: Clone + Ord + fmt::Display {
+pub trait LinkAddress: Clone + Ord + Hash + fmt::Display {
     /// Whether it is that of a connection whose other end has made it, and has not proved who it
     /// is.
     fn is_connection(&self) -> bool;

@@ -8,7 +8,6 @@ use crate::settings::SettingError;
 use crate::settings::network::{EXPECTED_WITHIN, HELLO_INTERVAL};
 use blastema_core::NodeName;
 use blastema_core::net::routing::MTU_MIN;
-use blastema_core::net::seal::SealProfile;
 use blastema_core::net::wire::advertisement::NEIGHBOURS_MAX;
 use blastema_core::sorted::{SortedMap, SortedSet};
 
@@ -140,7 +139,7 @@ impl Network {
 
     /// On a sealed network frames have room for the seal; each neighbour has a key, and one link.
     fn check_sealed(&self, keys: &NodeKeys) -> Result<(), StartError> {
-        let seal = self.seal_profile().map_or(0, SealProfile::overhead);
+        let seal = self.seal_terms().map_or(0, |terms| terms.profile.overhead());
         if let Some(mtu) = self.set_mtu().filter(|mtu| *mtu < MTU_MIN + seal) {
             return Err(StartError::Network(format!(
                 "network {}: of frames of {mtu} bytes a seal takes {seal}, which leaves too few: \

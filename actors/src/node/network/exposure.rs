@@ -2,6 +2,7 @@
 //! computer.
 
 use super::{Medium, Network};
+use crate::net::keys::SealTerms;
 use crate::node::error::StartError;
 use blastema_contract::reports::FaultDeclared;
 use blastema_core::net::seal::SealProfile;
@@ -101,13 +102,21 @@ impl Network {
 
     /// How its frames are sealed by a node that has keys. Within a process no other program can
     /// send.
-    pub(in crate::node) fn seal_profile(&self) -> Option<SealProfile> {
-        let profile = match &self.medium {
+    pub(in crate::node) fn seal_terms(&self) -> Option<SealTerms> {
+        let (profile, forgeable_addresses) = match &self.medium {
             // Frames of a bus are small, and its cable is within the robot.
-            Medium::At(Endpoint::Can(_) | Endpoint::Slcan(_)) => SealProfile::Compact,
-            _ => SealProfile::Full,
+            Medium::At(Endpoint::Can(_) | Endpoint::Slcan(_)) => (SealProfile::Compact, false),
+            // A line may be a radio.
+            #[cfg(feature = "serial")]
+            Medium::At(Endpoint::Serial(_)) => (SealProfile::Full, false),
+            // A stream's other end is where it was when it connected.
+            #[cfg(feature = "ip")]
+            Medium::At(Endpoint::Tcp(_)) => (SealProfile::Full, false),
+            #[cfg(feature = "unix")]
+            Medium::At(Endpoint::Unix(_)) => (SealProfile::Full, false),
+            _ => (SealProfile::Full, true),
         };
-        self.leaves_process().then_some(profile)
+        self.leaves_process().then_some(SealTerms { profile, forgeable_addresses })
     }
 
     /// The largest frame that the user has set; `None` where the medium chooses it.

@@ -2,6 +2,8 @@
 
 use super::beacons::Beacons;
 use super::{Cable, Discovered, Link, Medium, Network};
+#[cfg(feature = "serial")]
+use crate::net::keys::SealTerms;
 use crate::net::{DiscoverySpec, LinkSpec, NetworkSpec};
 use crate::node::error::StartError;
 use crate::platform;
@@ -10,15 +12,14 @@ use crate::settings::network::HELLO_INTERVAL;
 use actix::prelude::*;
 use blastema_contract::transport::{MediumAddress, Transport};
 use blastema_core::net::discovery::DiscoveryAdmission;
-#[cfg(feature = "serial")]
-use blastema_core::net::seal::SealProfile;
 use blastema_core::sorted::SortedSet;
 use blastema_core::{NodeName, ObjectName};
+#[cfg(any(feature = "serial", feature = "slcan", all(feature = "can", target_os = "linux")))]
+use blastema_transports::FrameTransport;
 #[cfg(feature = "unix")]
 use blastema_transports::Unix;
 use blastema_transports::{
-    Endpoint, EndpointError, FaultInjector, FaultInjectorConfig, FrameTransport, Memory,
-    MemoryMedium,
+    Endpoint, EndpointError, FaultInjector, FaultInjectorConfig, Memory, MemoryMedium,
 };
 #[cfg(feature = "ip")]
 use blastema_transports::{Tcp, Udp};
@@ -46,12 +47,13 @@ impl Medium {
 
     /// Lets the frames of a serial line hold a seal beside what they hold without one.
     #[cfg(feature = "serial")]
-    fn make_room_for(&mut self, seal: SealProfile) {
-        if let Medium::At(Endpoint::Serial(config)) = self
+    fn with_room_for(mut self, seal: SealTerms) -> Self {
+        if let Medium::At(Endpoint::Serial(config)) = &mut self
             && config.mtu.is_none()
         {
-            config.mtu = Some(config.mtu() + seal.overhead());
+            config.mtu = Some(config.mtu() + seal.profile.overhead());
         }
+        self
     }
 
     fn start(
@@ -121,16 +123,17 @@ impl Network {
     ) -> Result<StartedNetwork, StartError> {
         let [object, sender, cable] = ["transport", "beacons", "cable"].map(|of| self.object(of));
         let (object, sender, cable) = (object?, sender?, cable?);
-        let seal = self.seal_profile().filter(|_| has_keys);
+        let seal = self.seal_terms().filter(|_| has_keys);
         let links = self.link_specs()?;
         let beacons = self.beacon_socket()?;
         let admission = self.admission()?;
         let interface = self.used_interface();
-        let Network { name, mut medium, memory, faults, .. } = self;
+        let Network { name, medium, memory, faults, .. } = self;
         #[cfg(feature = "serial")]
-        if let Some(seal) = seal {
-            medium.make_room_for(seal);
-        }
+        let medium = match seal {
+            Some(seal) => medium.with_room_for(seal),
+            None => medium,
+        };
         let mut transports = vec![object.clone()];
         let place = |object| TransportPlace { object, guardian, arbiter };
         let mut transport = medium.start(&name, memory.clone(), place(object))?;

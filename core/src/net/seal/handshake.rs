@@ -3,14 +3,16 @@
 use super::channel::{Channel, ChannelTerms, OfferedChannel, OpenError};
 use super::cipher::{ChannelKeys, CipherSuite, HandshakeTerms, SealCrypto};
 use super::handshake_frame::{
-    AnswerFrame, HandshakeFrame, InitFrame, decode_payload, encode_payload,
+    AnswerFrame, CookieFrame, HandshakeFrame, InitFrame, decode_payload, encode_payload, mac2,
 };
+use super::noise::MacKey;
 use super::sealed_peer::{Approach, SealedPeer};
 use super::{Sealer, SealerOutput};
 use crate::medium::lane::FrameLane;
 use crate::net::wire::node_id::NodeId;
 use crate::{Incarnation, Instant};
 use bytes::Bytes;
+use std::hash::Hash;
 use std::time::Duration;
 
 /// Handshakes that this node has begun, or has answered, and that are not complete. Beyond that the
@@ -21,6 +23,8 @@ pub(super) const OFFERS_MAX: usize = 16;
 const STEPS_MAX: usize = 32;
 /// A knock is answered by an init once in this time.
 const KNOCK_INTERVAL: Duration = Duration::from_millis(500);
+/// An init with a cookie is taken once in this time, whatever the budget says.
+const PROVEN_INTERVAL: Duration = Duration::from_millis(100);
 
 /// One message's worth of arithmetic that waits for its turn.
 #[derive(Debug)]
@@ -39,7 +43,7 @@ impl<A> HandshakeStep<A> {
     }
 }
 
-impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
+impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
     /// Whether handshakes with this peer are begun here.
     pub(super) fn is_initiator(&self, peer: NodeId) -> bool {
         self.config.node < peer
@@ -100,7 +104,7 @@ impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
                 // Another address was not given to this node: a knock named it, which may be a
                 // replay, and gets one init. The peer knocks again.
                 if peer.address.as_ref() == Some(to) {
-                    let frame = peer.keys.encoded(&HandshakeFrame::Init(*init));
+                    let frame = peer.keys.encoded(&HandshakeFrame::Init(*init), now);
                     let to = to.clone();
                     self.transmit(to, frame);
                 }
@@ -122,7 +126,7 @@ impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
         if let Some(peer) = self.peers.get(&node)
             && let Some(to) = peer.address.clone()
         {
-            let frame = peer.keys.encoded(&knock);
+            let frame = peer.keys.encoded(&knock, now);
             self.transmit(to, frame);
         }
     }
@@ -165,20 +169,21 @@ impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
     ) -> Result<(), OpenError> {
         let frame = HandshakeFrame::decode(bytes)?;
         let done = match &frame {
-            HandshakeFrame::Init(init) => self.handle_init(init, bytes, from, now),
+            HandshakeFrame::Init(init) => self.handle_init(init, &frame, bytes, from, now),
             HandshakeFrame::Knock { from: node, to, nonce } => {
                 self.check_initiator(*to, self.config.node < *node)?;
-                self.peer(*node)?.keys.has_proof(bytes)?;
+                self.peer(*node)?.keys.has_proof(&frame, bytes)?;
                 self.handle_knock(*node, *nonce, from, now)
             }
             HandshakeFrame::Answer(answer) => {
                 let (node, _) = self.asked(answer.answered)?;
-                self.peer(node)?.keys.has_proof(bytes)?;
+                self.peer(node)?.keys.has_proof(&frame, bytes)?;
                 self.push(HandshakeStep::Answer(node, *answer, from.clone()))
             }
+            HandshakeFrame::Cookie(cookie) => self.handle_cookie(cookie, now),
             HandshakeFrame::Prefer { channel, suite } => {
                 let (node, _) = self.asked(*channel)?;
-                self.peer(node)?.keys.has_proof(bytes)?;
+                self.peer(node)?.keys.has_proof(&frame, bytes)?;
                 self.handle_prefer(node, *suite)
             }
         };
@@ -219,13 +224,14 @@ impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
     fn handle_init(
         &mut self,
         init: &InitFrame,
+        frame: &HandshakeFrame,
         bytes: &[u8],
         from: &A,
         now: Instant,
     ) -> Result<(), OpenError> {
         self.check_initiator(init.to, init.from < self.config.node)?;
         let peer = self.peers.get(&init.from).ok_or(OpenError::Unknown)?;
-        peer.keys.has_proof(bytes)?;
+        peer.keys.has_proof(frame, bytes)?;
         if self.repeats.contains(init.from, init.ephemeral()) {
             // Our answer may have been lost.
             if let Some(offer) = &peer.channels.offered
@@ -236,17 +242,48 @@ impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
             }
             return Err(OpenError::Repeated);
         }
-        if !self.budget.add((), now) {
-            return Err(OpenError::Limited);
-        }
+        self.admit(init, frame.mac1(bytes).1, mac2(bytes), from, now)?;
         if init.suite == CipherSuite::AesGcm && !self.config.fast_aes {
             let suite = self.config.suite();
             let prefer = HandshakeFrame::Prefer { channel: init.channel, suite };
-            let frame = self.peer(init.from)?.keys.encoded(&prefer);
+            let frame = self.peer(init.from)?.keys.encoded(&prefer, now);
             self.transmit(from.clone(), frame);
             return Ok(());
         }
         self.push(HandshakeStep::Init(*init, from.clone()))
+    }
+
+    /// Whether there is a handshake left in the budget, or its sender has shown a cookie.
+    fn admit(
+        &mut self,
+        init: &InitFrame,
+        mac1: &[u8],
+        (covered, mac2): (&[u8], &[u8]),
+        from: &A,
+        now: Instant,
+    ) -> Result<(), OpenError> {
+        if self.budget.add((), now) {
+            return Ok(());
+        }
+        if !self.config.forgeable_addresses {
+            return Err(OpenError::Limited);
+        }
+        let cookie = self.cookies.cookie(init.from, from, &mut self.seeds, now);
+        let nonce = *self.seeds.next_seed().first_chunk().expect("12 of 32 bytes");
+        let peer = self.peer(init.from)?;
+        if MacKey::new(&cookie).verify_short(&[covered], mac2) {
+            if now < peer.proven_at {
+                return Err(OpenError::Limited);
+            }
+            peer.proven_at = now + PROVEN_INTERVAL;
+            return Ok(());
+        }
+        let mac1 = mac1.first_chunk().expect("mac1 was found right");
+        let sealed = peer.keys.cookie_cipher.seal(nonce, mac1, cookie);
+        let reply = CookieFrame { answered: init.channel, nonce, sealed };
+        let frame = peer.keys.encoded(&HandshakeFrame::Cookie(reply), now);
+        self.transmit(from.clone(), frame);
+        Err(OpenError::Limited)
     }
 
     fn handle_knock(
@@ -265,7 +302,7 @@ impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
         {
             // The init was lost, or the peer is elsewhere: it is sent once more, which costs no
             // arithmetic.
-            let frame = peer.keys.encoded(&HandshakeFrame::Init(*init));
+            let frame = peer.keys.encoded(&HandshakeFrame::Init(*init), now);
             peer.knock_at = now + KNOCK_INTERVAL;
             self.repeats.insert(node, nonce);
             self.transmit(from.clone(), frame);
@@ -279,6 +316,18 @@ impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
         peer.knock_at = now + KNOCK_INTERVAL;
         peer.knocked_from = Some(from.clone());
         self.begin(node, now);
+        Ok(())
+    }
+
+    fn handle_cookie(&mut self, cookie: &CookieFrame, now: Instant) -> Result<(), OpenError> {
+        let (node, init) = self.asked(cookie.answered)?;
+        let peer = self.peer(node)?;
+        // That of the init itself: mac1 does not depend on a cookie.
+        let frame = HandshakeFrame::Init(init);
+        let bytes = peer.keys.encoded(&frame, now);
+        let mac1 = frame.mac1(&bytes).1.first_chunk().expect("8 bytes");
+        let opened = peer.keys.cookie_cipher.open(cookie.nonce, mac1, cookie.sealed);
+        peer.keys.cookie = Some((opened.ok_or(OpenError::Filtered)?, now));
         Ok(())
     }
 
@@ -319,7 +368,7 @@ impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
             return;
         };
         let init = InitFrame { suite: peer.suite, channel: number, from, to: node, noise };
-        let frame = peer.keys.encoded(&HandshakeFrame::Init(init));
+        let frame = peer.keys.encoded(&HandshakeFrame::Init(init), now);
         peer.go_on(Approach::Asking { handshake, init, to: to.clone(), since: now });
         self.transmit(to, frame);
         self.index(node);
@@ -366,7 +415,7 @@ impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
         let channel = self.new_channel(init.suite, number, init.channel, theirs, &keys, now);
         let answer = AnswerFrame { channel: number, answered: init.channel, noise };
         let Some(peer) = self.peers.get_mut(&node) else { return };
-        let answer = peer.keys.encoded(&HandshakeFrame::Answer(answer));
+        let answer = peer.keys.encoded(&HandshakeFrame::Answer(answer), now);
         let ephemeral = init.ephemeral();
         let offer = OfferedChannel { channel, since: now, ephemeral, answer: answer.clone() };
         peer.channels.offered = Some(offer);

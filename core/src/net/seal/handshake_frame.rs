@@ -1,36 +1,41 @@
 //! The frames of a handshake.
 //!
 //! ```text
-//! init    1011 0011 │ kind 8+suite │ my channel 3 │ from 4 │ to 4 │ Noise 60 │ mac 8          81
-//! answer  1011 0011 │ kind 10      │ my channel 3 │ your channel 3 │ Noise 60 │ mac 8          76
-//! prefer  1011 0011 │ kind 12      │ your channel 3 │ suite 1 │ mac 8                          14
-//! knock   1011 0011 │ kind 13      │ from 4 │ to 4 │ nonce 8 │ zeros 55 │ mac 8                81
+//! init    1011 0010 │ kind 8+suite │ my channel 3 │ from 4 │ to 4 │ Noise 60 │ mac1 8 │ mac2 8           89
+//! answer  1011 0010 │ kind 10      │ my channel 3 │ your channel 3 │ Noise 60 │ mac1 8                  76
+//! cookie  1011 0010 │ kind 11      │ your channel 3 │ nonce 12 │ cookie 16 + tag 16                     49
+//! prefer  1011 0010 │ kind 12      │ your channel 3 │ suite 1 │ mac1 8                                  14
+//! knock   1011 0010 │ kind 13      │ from 4 │ to 4 │ nonce 8 │ mac1 8 │ zeros 63                        89
 //!
 //! payload within Noise: own incarnation 6 │ zeros 6
 //! ```
 //!
-//! `mac` is the first 8 bytes of HMAC-SHA-256 under the pair's filter key over all bytes before it,
-//! WireGuard's `mac1` (Donenfeld, NDSS 2017). Every answer is at most as long as what it answers,
-//! so no address receives more than was sent from there.
+//! `mac1` is the first 8 bytes of HMAC-SHA-256 under the pair's filter key over all bytes before
+//! it; `mac2` those under a cookie. The names are WireGuard's (Donenfeld, NDSS 2017). Every answer
+//! is at most as long as what it answers, so no address receives more than was sent from there.
 
 use super::cipher::{CipherSuite, NOISE_MESSAGE, PAYLOAD};
 use crate::Incarnation;
 use crate::net::wire::WireError;
 use crate::net::wire::node_id::NodeId;
 
-/// The first byte: the magic number of frames, and version 3 of the protocol.
-const FIRST: u8 = 0xb3;
+/// The first byte: the magic number of frames, and version 2 of the protocol.
+const FIRST: u8 = 0xb2;
 const INIT: u8 = 8;
 const ANSWER: u8 = 10;
+const COOKIE: u8 = 11;
 const PREFER: u8 = 12;
 const KNOCK: u8 = 13;
 
 /// The longest frame of a handshake, in bytes.
-pub(crate) const INIT_LENGTH: usize = 81;
+pub(crate) const INIT_LENGTH: usize = 89;
 const ANSWER_LENGTH: usize = 76;
+const COOKIE_LENGTH: usize = 49;
 const PREFER_LENGTH: usize = 14;
-/// The code at the end of each frame.
-const MAC_LENGTH: usize = 8;
+/// How much of an init `mac1` covers, and how much `mac2` does.
+pub(super) const INIT_MAC1: usize = 73;
+const INIT_MAC2: usize = 81;
+const KNOCK_MAC1: usize = 18;
 
 /// Whether this is a frame of a handshake, by its first byte.
 pub(crate) fn is_handshake(frame: &[u8]) -> bool {
@@ -53,6 +58,7 @@ pub(super) fn decode_payload(bytes: &[u8; PAYLOAD]) -> Incarnation {
 pub(super) enum HandshakeFrame {
     Init(InitFrame),
     Answer(AnswerFrame),
+    Cookie(CookieFrame),
     Prefer { channel: u32, suite: CipherSuite },
     Knock { from: NodeId, to: NodeId, nonce: u64 },
 }
@@ -76,6 +82,13 @@ pub(super) struct AnswerFrame {
     pub(super) noise: [u8; NOISE_MESSAGE],
 }
 
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct CookieFrame {
+    pub(super) answered: u32,
+    pub(super) nonce: [u8; 12],
+    pub(super) sealed: [u8; 32],
+}
+
 impl InitFrame {
     /// What is different in each handshake: the beginning of the ephemeral key.
     pub(super) fn ephemeral(&self) -> u64 {
@@ -84,8 +97,13 @@ impl InitFrame {
 }
 
 impl HandshakeFrame {
-    /// The frame's bytes, with the code that this function gives over what stands before it.
-    pub(super) fn encode(&self, mac: impl FnOnce(&[u8]) -> [u8; MAC_LENGTH]) -> Vec<u8> {
+    /// The frame's bytes with the codes that these functions give over what stands before them: the
+    /// first under the pair's filter key, the second, for an init, under a cookie.
+    pub(super) fn encode(
+        &self,
+        mac1: impl FnOnce(&[u8]) -> [u8; 8],
+        mac2: impl FnOnce(&[u8]) -> [u8; 8],
+    ) -> Vec<u8> {
         let mut out = Vec::with_capacity(INIT_LENGTH);
         out.push(FIRST);
         let number = |channel: u32| channel.to_be_bytes().into_iter().skip(1);
@@ -96,34 +114,44 @@ impl HandshakeFrame {
                 out.extend(init.from.0.to_be_bytes());
                 out.extend(init.to.0.to_be_bytes());
                 out.extend(init.noise);
+                out.extend(mac1(&out));
+                out.extend(mac2(&out));
             }
             HandshakeFrame::Answer(answer) => {
                 out.push(ANSWER);
                 out.extend(number(answer.channel));
                 out.extend(number(answer.answered));
                 out.extend(answer.noise);
+                out.extend(mac1(&out));
+            }
+            HandshakeFrame::Cookie(cookie) => {
+                out.push(COOKIE);
+                out.extend(number(cookie.answered));
+                out.extend(cookie.nonce);
+                out.extend(cookie.sealed);
             }
             HandshakeFrame::Prefer { channel, suite } => {
                 out.push(PREFER);
                 out.extend(number(*channel));
                 out.push(suite.number());
+                out.extend(mac1(&out));
             }
             HandshakeFrame::Knock { from, to, nonce } => {
                 out.push(KNOCK);
                 out.extend(from.0.to_be_bytes());
                 out.extend(to.0.to_be_bytes());
                 out.extend(nonce.to_be_bytes());
-                out.resize(INIT_LENGTH - MAC_LENGTH, 0);
+                out.extend(mac1(&out));
+                out.resize(INIT_LENGTH, 0);
             }
         }
-        out.extend(mac(&out));
         out
     }
 
     /// Reads a frame.
     ///
     /// # Errors
-    /// [`WireError`] for anything that `encode` does not write, whatever the code is.
+    /// [`WireError`] for anything that `encode` does not write, whatever the codes are.
     pub(super) fn decode(frame: &[u8]) -> Result<HandshakeFrame, WireError> {
         let (&first, rest) = frame.split_first().ok_or(WireError::Truncated)?;
         if first & 0xf0 != FIRST & 0xf0 {
@@ -135,6 +163,7 @@ impl HandshakeFrame {
         let (&kind, mut fields) = rest.split_first().ok_or(WireError::Truncated)?;
         let length = match kind {
             ANSWER => ANSWER_LENGTH,
+            COOKIE => COOKIE_LENGTH,
             PREFER => PREFER_LENGTH,
             _ => INIT_LENGTH,
         };
@@ -148,6 +177,11 @@ impl HandshakeFrame {
                 channel: channel(fields)?,
                 answered: channel(fields)?,
                 noise: array(fields)?,
+            }),
+            COOKIE => HandshakeFrame::Cookie(CookieFrame {
+                answered: channel(fields)?,
+                nonce: array(fields)?,
+                sealed: array(fields)?,
             }),
             PREFER => HandshakeFrame::Prefer {
                 channel: channel(fields)?,
@@ -167,6 +201,22 @@ impl HandshakeFrame {
             }),
         })
     }
+
+    /// What `mac1` covers of this frame's bytes, and the code.
+    pub(super) fn mac1<'a>(&self, frame: &'a [u8]) -> (&'a [u8], &'a [u8]) {
+        match self {
+            HandshakeFrame::Init(_) => (&frame[..INIT_MAC1], &frame[INIT_MAC1..INIT_MAC2]),
+            HandshakeFrame::Knock { .. } => {
+                (&frame[..KNOCK_MAC1], &frame[KNOCK_MAC1..KNOCK_MAC1 + 8])
+            }
+            _ => frame.split_at(frame.len() - 8),
+        }
+    }
+}
+
+/// What `mac2` covers of an init's bytes, and the code.
+pub(super) fn mac2(init: &[u8]) -> (&[u8], &[u8]) {
+    init.split_at(INIT_MAC2)
 }
 
 fn array<const N: usize>(fields: &mut &[u8]) -> Result<[u8; N], WireError> {
@@ -188,26 +238,28 @@ fn suite(number: u8) -> Result<CipherSuite, WireError> {
 mod tests {
     use super::*;
 
-    fn all() -> [(HandshakeFrame, usize); 5] {
+    fn all() -> [(HandshakeFrame, usize); 6] {
         let init = |suite| {
             let (from, to) = (NodeId(0x0102_0304), NodeId(0x0506_0708));
             InitFrame { suite, channel: 0x12_3456, from, to, noise: [0xee; 60] }
         };
         let answer = AnswerFrame { channel: 1, answered: 0xff_ffff, noise: [0xaa; 60] };
+        let cookie = CookieFrame { answered: 5, nonce: [6; 12], sealed: [7; 32] };
         let (channel, suite) = (9, CipherSuite::ChaChaPoly);
         [
-            (HandshakeFrame::Init(init(CipherSuite::AesGcm)), 81),
-            (HandshakeFrame::Init(init(CipherSuite::ChaChaPoly)), 81),
+            (HandshakeFrame::Init(init(CipherSuite::AesGcm)), 89),
+            (HandshakeFrame::Init(init(CipherSuite::ChaChaPoly)), 89),
             (HandshakeFrame::Answer(answer), 76),
+            (HandshakeFrame::Cookie(cookie), 49),
             (HandshakeFrame::Prefer { channel, suite }, 14),
-            (HandshakeFrame::Knock { from: NodeId(1), to: NodeId(2), nonce: 3 }, 81),
+            (HandshakeFrame::Knock { from: NodeId(1), to: NodeId(2), nonce: 3 }, 89),
         ]
     }
 
     #[test]
     fn frames_read_as_they_were_written_and_no_other_length_reads() {
         for (frame, length) in all() {
-            let bytes = frame.encode(|_| [1; 8]);
+            let bytes = frame.encode(|_| [1; 8], |_| [2; 8]);
             assert_eq!(bytes.len(), length);
             assert_eq!(HandshakeFrame::decode(&bytes), Ok(frame));
             for length in 0..length {
@@ -218,15 +270,24 @@ mod tests {
     }
 
     #[test]
-    fn the_code_is_the_end_of_each_frame_and_covers_all_before_it() {
-        for (frame, length) in all() {
-            let mut covered = Vec::new();
-            let mac = |bytes: &[u8]| {
-                covered = bytes.to_vec();
+    fn codes_stand_where_their_receiver_looks_for_them_and_cover_all_before_them() {
+        for (frame, _) in all() {
+            let (mut covered1, mut covered2) = (Vec::new(), Vec::new());
+            let mac1 = |bytes: &[u8]| {
+                covered1 = bytes.to_vec();
                 [1; 8]
             };
-            let bytes = frame.encode(mac);
-            assert_eq!(bytes.split_at(length - 8), (&covered[..], &[1; 8][..]));
+            let mac2_of = |bytes: &[u8]| {
+                covered2 = bytes.to_vec();
+                [2; 8]
+            };
+            let bytes = frame.encode(mac1, mac2_of);
+            if !matches!(frame, HandshakeFrame::Cookie(_)) {
+                assert_eq!(frame.mac1(&bytes), (&covered1[..], &[1; 8][..]));
+            }
+            if matches!(frame, HandshakeFrame::Init(_)) {
+                assert_eq!(mac2(&bytes), (&covered2[..], &[2; 8][..]));
+            }
         }
     }
 
@@ -238,9 +299,9 @@ mod tests {
             HandshakeFrame::decode(&bytes).unwrap_err()
         };
         assert_eq!(refused(0x42, 8), WireError::Foreign { first: 0x42 });
-        assert_eq!(refused(0xb1, 8), WireError::Version { theirs: 1, ours: 3 });
-        for kind in [0, 7, 11, 14, 255] {
-            assert!(matches!(refused(0xb3, kind), WireError::Malformed { .. }), "{kind}");
+        assert_eq!(refused(0xb1, 8), WireError::Version { theirs: 1, ours: 2 });
+        for kind in [0, 7, 14, 255] {
+            assert!(matches!(refused(0xb2, kind), WireError::Malformed { .. }), "{kind}");
         }
     }
 

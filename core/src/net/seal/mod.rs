@@ -23,7 +23,7 @@
 //! | `window` | which counters were received |
 //! | `channel` | two keys and the counters under them; the present, offered and former one of a peer |
 //! | `compact` | tags without encryption, for small media |
-//! | `admission` | repeats and rates, before any arithmetic on curves |
+//! | `admission` | repeats, rates and cookies, before any arithmetic on curves |
 //! | `sealed_peer`, `handshake` | what is known of a peer; the course of a handshake on both sides |
 //!
 //! **Handshakes.** The smaller node number is the initiator, so handshakes never cross; the other
@@ -31,9 +31,10 @@
 //! ephemeral key after half a second. One handshake's message costs some 0.2 ms of arithmetic: such
 //! work waits until the caller gives it a turn ([`Sealer::handle_turn`]), one message each.
 //!
-//! **Before authentication.** A frame of a handshake passes, in this order: its form; its
-//! code, which needs a key of the pair; the memory of repeats; a budget of 64 within a second. All of
-//! it takes less than 64 KiB, and no address receives more bytes than came from there.
+//! **Before authentication.** A frame of a handshake passes, in this order: its form; `mac1`, which
+//! needs a key of the pair; the memory of repeats; a budget of 64 within a second; beyond that, where
+//! addresses can be forged, a cookie. All of it takes less than 64 KiB, and no address receives
+//! more bytes than came from there.
 //!
 //! **Attribution.** What was not opened is counted in [`SealRefusals`] and is no peer's fault:
 //! every node on the medium can send it. [`Sealer::refused_of`] counts what only a holder of the
@@ -62,7 +63,7 @@ pub(crate) use handshake_frame::{INIT_LENGTH, is_handshake};
 pub use header::SealProfile;
 pub use noise::NoiseCrypto;
 
-use self::admission::{BUDGET, BUDGET_PERIOD, RepeatMemory};
+use self::admission::{BUDGET, BUDGET_PERIOD, CookieJar, RepeatMemory};
 use self::channel::Opening;
 use self::handshake::HandshakeStep;
 use self::header::SealHeader;
@@ -76,6 +77,7 @@ use crate::timer::Timers;
 use crate::{Incarnation, Instant, Machine, SlidingWindow};
 use bytes::{Bytes, BytesMut};
 use std::collections::VecDeque;
+use std::hash::Hash;
 use std::time::Duration;
 
 /// Whether this is a frame of a sealer's, sealed or of a handshake, by its first byte. What is sent
@@ -94,7 +96,7 @@ pub enum ChannelPurpose {
 }
 
 /// An init, an answer, and what a medium adds to each.
-const EXCHANGE_BYTES: u64 = 81 + 76 + 16;
+const EXCHANGE_BYTES: u64 = 89 + 76 + 16;
 
 /// How a sealer behaves.
 #[derive(Clone, Debug)]
@@ -111,6 +113,8 @@ pub struct SealerConfig {
     pub profile: SealProfile,
     /// This processor has instructions for AES. Without them ChaCha20-Poly1305 is agreed on.
     pub fast_aes: bool,
+    /// A sender on this medium can claim any address. Under load, handshakes then need a cookie.
+    pub forgeable_addresses: bool,
     /// How long init and answer take on this medium. An init is repeated after three times as long,
     /// and after 50 ms at least.
     pub exchange_time: Duration,
@@ -128,6 +132,7 @@ impl SealerConfig {
             purpose: ChannelPurpose::Link,
             profile: SealProfile::Full,
             fast_aes: true,
+            forgeable_addresses: true,
             exchange_time: Duration::ZERO,
             limits: KeyLimits::default(),
         }
@@ -154,7 +159,7 @@ impl SealerConfig {
         };
         let (initiator, responder) = (initiator.0.to_be_bytes(), responder.0.to_be_bytes());
         // The numbers have a fixed length: two lists of pieces never give the same bytes.
-        [b"blastema 3 ", purpose, b"\0", self.robot.as_bytes(), &initiator, &responder].concat()
+        [b"blastema 2 ", purpose, b"\0", self.robot.as_bytes(), &initiator, &responder].concat()
     }
 }
 
@@ -289,6 +294,7 @@ pub struct Sealer<C: SealCrypto, A> {
     numbers: SortedMap<u32, NodeId>,
     repeats: RepeatMemory,
     budget: SlidingWindow,
+    cookies: CookieJar,
     /// Messages of handshakes that wait for their turn.
     steps: VecDeque<HandshakeStep<A>>,
     refusals: SealRefusals,
@@ -296,9 +302,10 @@ pub struct Sealer<C: SealCrypto, A> {
     outputs: VecDeque<SealerOutput<A>>,
 }
 
-impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
+impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
     /// A sealer without peers. The seed is of the system's random source, and used once.
     pub fn new(config: SealerConfig, crypto: C, seed: [u8; 32], now: Instant) -> Self {
+        let mut seeds = SeedGenerator::new(seed);
         Sealer {
             config,
             crypto,
@@ -306,7 +313,8 @@ impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
             numbers: SortedMap::new(),
             repeats: RepeatMemory::default(),
             budget: SlidingWindow::new(BUDGET, BUDGET_PERIOD),
-            seeds: SeedGenerator::new(seed),
+            cookies: CookieJar::new(&mut seeds, now),
+            seeds,
             steps: VecDeque::new(),
             refusals: SealRefusals::default(),
             wake_at: None,
@@ -521,7 +529,7 @@ impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
     }
 }
 
-impl<C: SealCrypto, A: Clone + Eq> Machine for Sealer<C, A> {
+impl<C: SealCrypto, A: Clone + Eq + Hash> Machine for Sealer<C, A> {
     type Output = SealerOutput<A>;
 
     fn poll_output(&mut self) -> Option<SealerOutput<A>> {

@@ -37,7 +37,7 @@ macro_rules! secret {
         })*
     };
 }
-secret!(NoiseCrypto, SeedGenerator, MacKey, ChannelKeys);
+secret!(NoiseCrypto, SeedGenerator, MacKey, CookieCipher, ChannelKeys);
 
 /// The cryptography of a node, with its static key.
 pub struct NoiseCrypto {
@@ -263,7 +263,7 @@ impl Dh for X25519 {
     }
 }
 
-/// Random numbers for keys, from one seed of the system's random source.
+/// Random numbers for keys and cookies, from one seed of the system's random source.
 ///
 /// Each seed that it gives comes from HMAC under a state that is then replaced, so that the state
 /// in memory does not give away earlier ones (fast key erasure: Bernstein 2017).
@@ -343,6 +343,35 @@ pub fn derived_key(secret: &[u8; 32], label: &str) -> Zeroizing<[u8; 32]> {
     let mut key = Zeroizing::new([0; 32]);
     hkdf_sha256(&[], secret, label.as_bytes(), &mut *key);
     key
+}
+
+/// Seals cookies for one peer, with ChaCha20-Poly1305.
+pub struct CookieCipher(LessSafeKey);
+
+impl CookieCipher {
+    /// With this key.
+    pub fn new(key: &[u8; 32]) -> Self {
+        let key = UnboundKey::new(&aead::CHACHA20_POLY1305, key);
+        CookieCipher(LessSafeKey::new(key.expect("ChaCha20-Poly1305 takes keys of 32 bytes")))
+    }
+
+    /// Seals a cookie in answer to the message with this code. The nonce is random.
+    pub fn seal(&self, nonce: [u8; 12], mac: &[u8; 8], cookie: [u8; 16]) -> [u8; 32] {
+        let mut sealed = [0; 32];
+        let (text, tag) = sealed.split_at_mut(16);
+        text.copy_from_slice(&cookie);
+        let nonce = Nonce::assume_unique_for_key(nonce);
+        let made = self.0.seal_in_place_separate_tag(nonce, Aad::from(mac), text);
+        tag.copy_from_slice(made.expect("16 bytes can be sealed").as_ref());
+        sealed
+    }
+
+    /// Opens what `seal` has sealed in answer to the message with this code.
+    pub fn open(&self, nonce: [u8; 12], mac: &[u8; 8], mut sealed: [u8; 32]) -> Option<[u8; 16]> {
+        let nonce = Nonce::assume_unique_for_key(nonce);
+        let opened = self.0.open_in_place(nonce, Aad::from(mac), &mut sealed);
+        opened.ok()?.first_chunk().copied()
+    }
 }
 
 #[cfg(test)]

@@ -1,10 +1,11 @@
 //! What a sealer knows of one peer.
 
 use super::ChannelPurpose;
+use super::admission::CookieJar;
 use super::channel::{OpenError, PeerChannels};
 use super::cipher::{CipherSuite, PUBLIC_KEY, SealCrypto};
 use super::handshake_frame::{HandshakeFrame, InitFrame};
-use super::noise::{MacKey, derived_key};
+use super::noise::{CookieCipher, MacKey, derived_key};
 use crate::{Incarnation, Instant};
 use bytes::Bytes;
 use std::fmt;
@@ -23,8 +24,9 @@ pub(super) struct SealedPeer<C: SealCrypto, A> {
     /// The handshake that goes on with it.
     pub(super) attempt: Option<HandshakeAttempt<C::Handshake, A>>,
     pub(super) suite: CipherSuite,
-    /// Its next knock is taken from here on.
+    /// Its next knock, and its next init with a cookie, are taken from here on.
     pub(super) knock_at: Instant,
+    pub(super) proven_at: Instant,
     /// What only a holder of the pair's key can have sent, and is wrong.
     pub(super) refused: u64,
 }
@@ -32,8 +34,11 @@ pub(super) struct SealedPeer<C: SealCrypto, A> {
 /// What protects the frames of handshakes with one peer.
 pub(super) struct PairKeys {
     pub(super) public: [u8; PUBLIC_KEY],
-    /// The key of the codes in the frames of handshakes.
+    /// The key of `mac1` in the frames of handshakes.
     filter: MacKey,
+    pub(super) cookie_cipher: CookieCipher,
+    /// The peer's last cookie, and when it was received.
+    pub(super) cookie: Option<([u8; 16], Instant)>,
 }
 
 /// A handshake, until both ends use its keys.
@@ -59,21 +64,30 @@ impl PairKeys {
     fn new(public: [u8; PUBLIC_KEY], secret: [u8; 32], purpose: ChannelPurpose) -> Self {
         let secret = Zeroizing::new(secret);
         // A handshake of one purpose is not taken for one of the other, and is refused unread.
-        let filter = match purpose {
-            ChannelPurpose::Link => "filter",
-            ChannelPurpose::Path => "path filter",
+        let (filter, cookie) = match purpose {
+            ChannelPurpose::Link => ("filter", "cookie"),
+            ChannelPurpose::Path => ("path filter", "path cookie"),
         };
-        PairKeys { public, filter: MacKey::new(&*derived_key(&secret, filter)) }
+        PairKeys {
+            public,
+            filter: MacKey::new(&*derived_key(&secret, filter)),
+            cookie_cipher: CookieCipher::new(&derived_key(&secret, cookie)),
+            cookie: None,
+        }
     }
 
-    /// A frame with the code that proves the pair's key.
-    pub(super) fn encoded(&self, frame: &HandshakeFrame) -> Bytes {
-        frame.encode(|bytes| self.filter.short_mac(&[bytes])).into()
+    /// A frame with the code that proves the pair's key, and for an init the cookie.
+    pub(super) fn encoded(&self, frame: &HandshakeFrame, now: Instant) -> Bytes {
+        let cookie = self.cookie.filter(|(_, since)| now - *since < CookieJar::GOOD_FOR);
+        let mac2 = |bytes: &[u8]| {
+            cookie.map_or([0; 8], |(cookie, _)| MacKey::new(&cookie).short_mac(&[bytes]))
+        };
+        frame.encode(|bytes| self.filter.short_mac(&[bytes]), mac2).into()
     }
 
-    /// Whether the sender of a frame of a handshake has the pair's key.
-    pub(super) fn has_proof(&self, frame: &[u8]) -> Result<(), OpenError> {
-        let (covered, mac) = frame.split_last_chunk::<8>().ok_or(OpenError::Filtered)?;
+    /// Whether the frame's sender has the pair's key.
+    pub(super) fn has_proof(&self, frame: &HandshakeFrame, bytes: &[u8]) -> Result<(), OpenError> {
+        let (covered, mac) = frame.mac1(bytes);
         if self.filter.verify_short(&[covered], mac) { Ok(()) } else { Err(OpenError::Filtered) }
     }
 }
@@ -93,6 +107,7 @@ impl<C: SealCrypto, A> SealedPeer<C, A> {
             attempt: None,
             suite,
             knock_at: Instant::ORIGIN,
+            proven_at: Instant::ORIGIN,
             refused: 0,
         }
     }

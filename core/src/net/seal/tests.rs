@@ -167,7 +167,7 @@ fn two_frames_each_way_open_a_channel_on_both_sides() {
     medium.run_until(50);
 
     // Init and answer, then an empty sealed frame each.
-    assert_eq!(medium.lengths(), [(0, 81), (1, 76), (0, 24), (1, 24)]);
+    assert_eq!(medium.lengths(), [(0, 89), (1, 76), (0, 24), (1, 24)]);
     assert_eq!(medium.events, [(1, peer_open(LEFT, 11, false)), (0, peer_open(RIGHT, 22, false))]);
     medium.assert_talks();
     let status = medium.ends[0].channel(RIGHT).unwrap();
@@ -182,7 +182,7 @@ fn the_other_end_knocks_and_is_asked_at_the_address_it_has_knocked_from() {
     medium.connect(1);
     medium.run_until(50);
 
-    assert_eq!(medium.lengths(), [(1, 81), (0, 81), (1, 76), (0, 24), (1, 24)]);
+    assert_eq!(medium.lengths(), [(1, 89), (0, 89), (1, 76), (0, 24), (1, 24)]);
     medium.assert_talks();
 }
 

@@ -5,6 +5,7 @@ use super::{SealCrypto, Sealer};
 use crate::Instant;
 use crate::net::wire::node_id::NodeId;
 use crate::timer::Timers;
+use std::hash::Hash;
 use std::time::Duration;
 
 /// The timers of a sealer: each is that of the peer for which it is due first.
@@ -22,7 +23,7 @@ pub(crate) enum SealerTimer {
 /// The responder asks for new keys so much later: then the initiator has failed to.
 const RESPONDER_LATER: Duration = Duration::from_secs(60);
 
-impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
+impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
     fn due_of(&self, timer: SealerTimer, node: NodeId, peer: &SealedPeer<C, A>) -> Option<Instant> {
         match timer {
             SealerTimer::KeyDrop => peer.channels.drop_due(&self.config.limits),
@@ -36,7 +37,7 @@ impl<C: SealCrypto, A: Clone + Eq> Sealer<C, A> {
     }
 }
 
-impl<C: SealCrypto, A: Clone + Eq> Timers for Sealer<C, A> {
+impl<C: SealCrypto, A: Clone + Eq + Hash> Timers for Sealer<C, A> {
     type Timer = SealerTimer;
 
     const TIMERS: &'static [SealerTimer] = {

@@ -36,6 +36,7 @@ use super::hello_state::HelloState;
 use super::{Reader, WireError, Write, packet};
 use crate::{GatherBuffer, Incarnation, NodeName};
 use bytes::{BufMut, Bytes, BytesMut};
+use std::fmt;
 
 /// The protocol's version: the low half of the first byte.
 pub const VERSION: u8 = 1;

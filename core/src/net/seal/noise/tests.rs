@@ -258,6 +258,17 @@ fn hkdf_gives_the_answers_of_rfc_5869() {
 }
 
 #[test]
+fn a_cookie_opens_for_the_message_that_it_answers_only() {
+    let cipher = CookieCipher::new(&bytes::<32>(&"ab".repeat(32)));
+    let sealed = cipher.seal([1; 12], &[2; 8], [3; 16]);
+
+    assert_eq!(cipher.open([1; 12], &[2; 8], sealed), Some([3; 16]));
+    assert_eq!(cipher.open([1; 12], &[9; 8], sealed), None);
+    assert_eq!(cipher.open([9; 12], &[2; 8], sealed), None);
+    assert_eq!(CookieCipher::new(&[0; 32]).open([1; 12], &[2; 8], sealed), None);
+}
+
+#[test]
 fn seeds_differ_from_each_other_and_from_those_of_another_seed() {
     let sequence = |seed| {
         let mut generator = SeedGenerator::new(seed);

@@ -17,7 +17,7 @@ fn keys_are_renewed_after_an_hour_by_the_initiator_and_nothing_is_lost_meanwhile
 
     assert_eq!((sent, medium.opened.len()), ([200; 2], 400));
     assert_eq!(medium.events, [(1, peer_open(LEFT, 11, true)), (0, peer_open(RIGHT, 22, true))]);
-    let inits = medium.sent.iter().filter(|(_, frame)| frame.len() == 81).count();
+    let inits = medium.sent.iter().filter(|(_, frame)| frame.len() == 89).count();
     assert_eq!(inits, 2, "the first, and this one");
     assert!(medium.ends[0].poll_timeout() < Some(at(3_603_000)), "former keys are dropped");
     medium.run_until(3_603_000);
