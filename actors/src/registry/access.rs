@@ -19,7 +19,7 @@ pub(crate) enum AccessWish {
     Command,
     /// To read or watch a variable.
     Read,
-    /// To write a variable.
+    /// To write a variable, or to decide on its value.
     Write,
 }
 
