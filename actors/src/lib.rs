@@ -84,7 +84,7 @@
 //!
 //! | feature | brings |
 //! | --- | --- |
-//! | `ip`, `unix`, `serial`, `can`, `slcan` | one medium each; networks in memory and over [media](medium) of an application's own need none |
+//! | `ip`, `unix`, `serial`, `can`, `slcan` | one medium each; media of one's own need none |
 //! | `unix` | [`NodeBuilder::inspection_socket`] too, at which `blastema monitor` looks |
 //! | `device` | [small devices](manual::devices), and `serial`; with `ip` also those on UDP |
 //! | `process` | [programs in any language](ProcessSpec) as components |

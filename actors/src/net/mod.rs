@@ -193,8 +193,8 @@ pub(crate) struct NetHandle {
     _roster_watch: Option<Arc<RosterWatch>>,
 }
 
-/// Starts the network of a node, and connects the registry and the topics to it. Each link has a name
-/// and a remote address of its own.
+/// Starts the network of a node, and connects the registry and the topics to it. Each link has a
+/// name and a remote address of its own.
 pub(crate) fn start(environment: NetEnvironment, networks: Vec<NetworkSpec>) -> NetHandle {
     platform::keep_freed_memory();
     let NetEnvironment { node, incarnation, guardian, arbiter, .. } = environment.clone();

@@ -330,8 +330,8 @@ impl Handler<LocalInput> for NetworkStack {
     }
 }
 
-/// A recovery strategy, an operator or the application has decided so, for this node alone: each node
-/// decides for itself, and all follow the roster.
+/// A recovery strategy, an operator or the application has decided so, for this node alone: each
+/// node decides for itself, and all follow the roster.
 impl Handler<IsolateNode> for NetworkStack {
     type Result = Result<RecoveryDone, RecoveryFailed>;
 

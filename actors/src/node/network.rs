@@ -51,7 +51,8 @@ pub use blastema_transports::MemoryMedium;
 #[must_use = "a network does nothing until it is given to a node"]
 pub struct Network {
     name: String,
-    /// The text of its endpoint, which may name a host; empty for a medium of the application's own.
+    /// The text of its endpoint, which may name a host; empty for a medium of the application's
+    /// own.
     endpoint: String,
     medium: Medium,
     /// The medium whose end a `memory://` endpoint is.
@@ -209,9 +210,9 @@ impl Network {
     }
 
     /// Announces this node's address every second by multicast, to a group such as
-    /// `239.255.0.1:7399`, and discovers neighbours that do the same and are not described: nodes of
-    /// these names get a link. Without names, this node only sends beacons of its own. For UDP and
-    /// TCP.
+    /// `239.255.0.1:7399`, and discovers neighbours that do the same and are not described: nodes
+    /// of these names get a link. Without names, this node only sends beacons of its own. For UDP
+    /// and TCP.
     pub fn discover<'a>(mut self, group: &str, nodes: impl IntoIterator<Item = &'a str>) -> Self {
         let nodes = nodes.into_iter().map(str::to_owned).collect();
         self.discovery = Some(Discovered { group: group.to_owned(), nodes: Some(nodes) });
@@ -279,8 +280,8 @@ impl Link {
     }
 
     /// The node called `neighbour`, at this address as its medium writes it: `10.0.0.2:7400`,
-    /// `module2.local:7400` (looked up once, when the node starts), `/run/module2.sock`, a number on
-    /// a CAN bus, the name of an end in memory; empty on a serial line, which has one other end.
+    /// `module2.local:7400` (looked up once, when the node starts), `/run/module2.sock`, a number
+    /// on a CAN bus, the name of an end in memory; empty on a serial line, which has one other end.
     ///
     /// An address that is wrong is [`StartError::Endpoint`](crate::StartError::Endpoint) when the
     /// node starts.

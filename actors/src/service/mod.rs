@@ -112,9 +112,9 @@ impl<C: Stateful> fmt::Debug for ServiceSpec<C> {
 }
 
 impl<C: Stateful> ServiceSpec<C> {
-    /// Describes a service on these nodes, seven at most. The earlier a node stands in the list, the
-    /// earlier it stands for election. Standbys are warm. Without a majority of the nodes there is
-    /// no primary.
+    /// Describes a service on these nodes, seven at most. The earlier a node stands in the list,
+    /// the earlier it stands for election. Standbys are warm. Without a majority of the nodes there
+    /// is no primary.
     pub fn new<'a>(
         name: &str,
         members: impl IntoIterator<Item = &'a str>,

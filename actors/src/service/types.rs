@@ -85,8 +85,8 @@ pub(crate) struct Serving {
     pub(crate) disputed: Option<String>,
 }
 
-/// What a replica wants of its component. The reply to [`DriveComponent::Save`] is the state. There is
-/// no reply to [`DriveComponent::Load`] if the component cannot load the state.
+/// What a replica wants of its component. The reply to [`DriveComponent::Save`] is the state. There
+/// is no reply to [`DriveComponent::Load`] if the component cannot load the state.
 #[derive(Clone, Debug, Request)]
 #[contract(
     crate = "crate",

@@ -42,8 +42,8 @@ pub struct Detector {
     ending: bool,
 }
 
-/// How many faults the record holds: a day with a fault every minute and a half. An entry takes some
-/// hundred bytes.
+/// How many faults the record holds: a day with a fault every minute and a half. An entry takes
+/// some hundred bytes.
 pub const FAULTS_ON_RECORD: usize = 1024;
 /// How long after a symptom its root may be found. Links over wireless, the slowest, find a fault
 /// within two seconds. Longer explains more, and wrongly at times.

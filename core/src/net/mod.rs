@@ -90,8 +90,8 @@ pub(crate) fn is_narrow(segment: usize) -> bool {
     segment < NARROW
 }
 
-/// Takes one more round trip into the mean and its deviation: an eighth of the round trip, a quarter
-/// of the deviation (RFC 6298).
+/// Takes one more round trip into the mean and its deviation: an eighth of the round trip, a
+/// quarter of the deviation (RFC 6298).
 pub(crate) fn smooth(mean: &mut Option<Duration>, deviation: &mut Duration, sample: Duration) {
     match *mean {
         None => (*mean, *deviation) = (Some(sample), sample / 2),

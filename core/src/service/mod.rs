@@ -83,8 +83,8 @@ pub enum OnPartition {
     Continue,
 }
 
-/// The most nodes that carry one service: three may fail. Each reply waits for a majority, so that more
-/// nodes make a service slower and not safer.
+/// The most nodes that carry one service: three may fail. Each reply waits for a majority, so that
+/// more nodes make a service slower and not safer.
 pub const MEMBERS_MAX: usize = 7;
 /// The shortest interval of heartbeats: a shorter one is less than the delay of timers and of the
 /// scheduler.

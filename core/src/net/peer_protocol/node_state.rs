@@ -1,4 +1,5 @@
-//! What a node tells every peer of itself: whether it is in the safe state, and which roster it has.
+//! What a node tells every peer of itself: whether it is in the safe state, and which roster it
+//! has.
 //!
 //! ```text
 //!  a session begins, or it changes     InSafeState or AtWork, RosterSerial

@@ -76,8 +76,8 @@ use std::time::Duration;
 /// of a large one; from 3 on acknowledgements tell when the last part arrived; from 4 on each class
 /// has a stream of its own; from 6 on an open tells what arrived in the session before; from 7 on
 /// faults come as requests, and a reply that cannot be written is an error of its own; from 8 on
-/// one acknowledgement speaks of all streams; from 9 on a session tells what a node says of itself, and
-/// the codec writes what is no daily traffic.
+/// one acknowledgement speaks of all streams; from 9 on a session tells what a node says of itself,
+/// and the codec writes what is no daily traffic.
 pub const VERSION: u8 = 9;
 
 /// The machine of one peer node's sessions, one after the other.

@@ -5,8 +5,8 @@ use super::pdu::SeparationTime;
 use std::time::Duration;
 
 /// How long the other end, and the bus, may take: for the word on how to go on (N_Bs), for the next
-/// frame of a message (N_Cr), and for the bus to take a frame (N_As, N_Ar). ISO 15765-2 puts each at
-/// one second; less breaks transfers on a bus that is full for a while.
+/// frame of a message (N_Cr), and for the bus to take a frame (N_As, N_Ar). ISO 15765-2 puts each
+/// at one second; less breaks transfers on a bus that is full for a while.
 pub(super) const TIMEOUT: Duration = Duration::from_secs(1);
 
 /// How an [`IsoTp`](super::IsoTp) behaves.
