@@ -195,7 +195,7 @@ impl World {
             let config = SealerConfig::new(NodeId::of(&name(index)), incarnation, "ranger");
             let mut random = [index as u8; 32];
             random[..8].copy_from_slice(&incarnation.0.to_be_bytes());
-            let keys = RouterKeys::new(&secret(index), roster, config, random);
+            let keys = RouterKeys::new(&secret(index), roster, config, random, now);
             router = router.with_keys(keys);
         }
         let sessions = (0..self.incarnations.len()).filter(|peer| *peer != index).map(|peer| {
