@@ -120,47 +120,6 @@ fn own_strategy_regrasps_until_it_holds() {
 }
 
 #[test]
-fn events_reach_those_who_want_them() {
-    let _turn = blastema_doubles::turn();
-    check("events", &["15 %", "5 %"]);
-    // Between two topics no order is promised.
-    let mut lines: Vec<String> = output("events").lines().map(str::to_owned).collect();
-    lines.sort();
-    assert_eq!(lines, ["15 %", "5 %", "99 %"]);
-}
-
-#[test]
-fn validity_keeps_old_and_wrong_orders_from_the_motors() {
-    let _turn = blastema_doubles::turn();
-    check(
-        "validity",
-        &[
-            "turning at 1.2 m/s",
-            "still turning at 1.2 m/s",
-            "too old: 1",
-            "check failed: speed is 9.0, and should be in 0.0..=1.5",
-            "still turning at 1.2 m/s",
-        ],
-    );
-}
-
-#[test]
-fn flood_loses_only_what_its_queue_says() {
-    let _turn = blastema_doubles::turn();
-    check(
-        "flood",
-        &[
-            "newest: reading 1000 was the last",
-            "newest: some gave way: true",
-            "careful: a reading came back: `sensor/reading` to module1:careful was not sent: its \
-             queue of 8 is full",
-            "careful: it was taken when there was room",
-            "newest: removed with 0 waiting",
-        ],
-    );
-}
-
-#[test]
 fn hang_replaces_the_culprit_and_moves_its_neighbour_with_what_waited() {
     let _turn = blastema_doubles::turn();
     check(
@@ -222,27 +181,6 @@ fn python_process_is_killed_and_hangs_and_serves_again() {
 fn own_medium_carries_requests_over_two_fifos() {
     let _turn = blastema_doubles::turn();
     check("own_medium", &["3 squared is 9", "12 squared is 144"]);
-}
-
-#[test]
-fn plain_actix_lets_a_plain_actor_speak_for_a_component() {
-    let _turn = blastema_doubles::turn();
-    check("plain_actix", &["0.1 N: warned: false", "3.5 N: warned: true"]);
-    check("plain_actix", &["I was touched with 3.5 N"]);
-}
-
-#[test]
-fn parameters_are_read_set_and_refused_with_the_reason() {
-    let _turn = blastema_doubles::turn();
-    check("parameters", &["begins with 1.5 m/s", "goes on with 0.8 m/s, 3 attempts"]);
-    check(
-        "parameters",
-        &[
-            "refused by a check: `max_speed` is 5.0, and must be in 0.0..=2.0 m/s",
-            "refused by a check: there is no parameter `max_sped`: did you mean `max_speed`?",
-            "parameters of arm: `attempts` is \"many\", and must be a whole number from 0 to 255, in 1..=10",
-        ],
-    );
 }
 
 #[test]
