@@ -5,7 +5,7 @@ use crate::component::envelope::Times;
 use crate::platform::{lock, stamp_us};
 use crate::topic::Topics;
 use blastema_core::NodeName;
-use blastema_core::connection::{Combination, ConnectionLimits, ConnectionRules, Presence};
+use blastema_core::connection::{Combination, ConnectionLimits, ConnectionRules};
 use blastema_core::connection::{TopicArrival, TopicEstimator};
 use blastema_core::{Contract, DeliveryError, Event, NameError, ObjectName};
 use std::any::Any;
@@ -160,11 +160,7 @@ impl ChannelSpec {
             Ok(ConnectedChannel::Commander(_)) => 2 * LOOK_INTERVAL,
             _ => timeout,
         });
-        let presence = match self.rate {
-            Some((hz, window)) => Presence::Rate { hz, window },
-            None => Presence::Heard { timeout },
-        };
-        ConnectionRules { presence, limits: self.limits }
+        ConnectionRules { timeout, rate: self.rate, limits: self.limits }
     }
 }
 

@@ -13,7 +13,7 @@ use crate::runtime::timekeeper::Timekeeper;
 use crate::settings::{CONDITION_TIMEOUT, CONDITION_WINDOW};
 use actix::prelude::{ArbiterHandle, Recipient};
 use blastema_contract::reports::{AreYouAlive, DeclaredFaultCleared, FaultDeclared};
-use blastema_core::connection::{Combination, ConditionState, ConnectionJudge, Presence};
+use blastema_core::connection::{Combination, ConditionState, ConnectionJudge};
 use blastema_core::sorted::SortedMap;
 use blastema_core::{FaultKind, Incarnation, Instant, ObjectName};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
@@ -159,12 +159,9 @@ impl Conditions {
         let (mut sources, mut timeout) = (Vec::new(), Duration::ZERO);
         let judges = needs.try_map(name, &mut |spec, channel| {
             sources.push(ChannelSource::open(spec, channel, wiring, &object)?);
-            let rules = spec.rules(default);
-            timeout = timeout.max(match rules.presence {
-                Presence::Heard { .. } => spec.timeout.unwrap_or(default),
-                Presence::Rate { window, .. } => window,
-            });
-            Ok(ConnectionJudge::new(channel.to_string(), rules))
+            let within = spec.rate.map_or(spec.timeout.unwrap_or(default), |(_, window)| window);
+            timeout = timeout.max(within);
+            Ok(ConnectionJudge::new(channel.to_string(), spec.rules(default)))
         })?;
         let cause = "nothing was measured yet".to_owned();
         let status = ConditionStatus { state: ConditionState::Lost, since: now, cause };

@@ -95,7 +95,7 @@ impl Combination<ConnectionJudge> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::connection::{ChannelReading, ConnectionLimits, ConnectionRules, Presence};
+    use crate::connection::{ChannelReading, ConnectionLimits, ConnectionRules};
     use std::time::Duration;
 
     #[test]
@@ -104,8 +104,7 @@ mod tests {
         let of = |states: [ConditionState; 3], least: usize| {
             let limits =
                 ConnectionLimits { loss_permille: Some(10), ..ConnectionLimits::default() };
-            let presence = Presence::Heard { timeout: Duration::from_secs(1) };
-            let rules = ConnectionRules { presence, limits };
+            let rules = ConnectionRules { timeout: Duration::from_secs(1), rate: None, limits };
             let judges = ["a", "b", "c"].map(|name| ConnectionJudge::new(name.into(), rules));
             let of = judges.map(Combination::Channel).into();
             let mut condition = Combination::AtLeast { least, of };

@@ -63,23 +63,6 @@ pub struct ChannelReading {
     pub loss_permille: Option<u16>,
 }
 
-/// What a channel must do to count as there.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Presence {
-    /// Give a sign of life within this time.
-    Heard {
-        /// How long it may be silent.
-        timeout: Duration,
-    },
-    /// Bring messages at this rate. It is lost below four fifths of it.
-    Rate {
-        /// How many in a second.
-        hz: f64,
-        /// Counted over this time.
-        window: Duration,
-    },
-}
-
 /// Beyond these a connection is degraded; `None` for no limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ConnectionLimits {
@@ -96,8 +79,11 @@ pub struct ConnectionLimits {
 /// How a channel is judged.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConnectionRules {
-    /// Whether it is there.
-    pub presence: Presence,
+    /// It is lost when it gives no sign of life for longer, unless a rate is set.
+    pub timeout: Duration,
+    /// How many messages must come in a second, counted over this time. It is lost below four
+    /// fifths of the rate.
+    pub rate: Option<(f64, Duration)>,
     /// Whether it is good.
     pub limits: ConnectionLimits,
 }
@@ -163,14 +149,10 @@ impl ConnectionJudge {
     pub fn new(name: String, rules: ConnectionRules) -> Self {
         let meter =
             |(hz, window), is_slow| RateMeter { hz, window, is_slow, marks: <_>::default() };
-        let presence_rate = match rules.presence {
-            Presence::Rate { hz, window } => Some(meter((hz, window), true)),
-            Presence::Heard { .. } => None,
-        };
         ConnectionJudge {
             name,
             rules,
-            presence_rate,
+            presence_rate: rules.rate.map(|rate| meter(rate, true)),
             limit_rate: rules.limits.rate.map(|rate| meter(rate, false)),
             is_there: false,
             is_degraded: false,
@@ -196,13 +178,10 @@ impl ConnectionJudge {
 
     /// When the channel is lost unless it is heard before.
     pub fn poll_timeout(&self) -> Option<Instant> {
-        match (self.rules.presence, self.heard_at) {
-            // Silence of exactly the timeout is within it.
-            (Presence::Heard { timeout }, Some(at)) if self.is_there => {
-                Some(at + timeout + Duration::from_nanos(1))
-            }
-            _ => None,
-        }
+        let is_watched = self.is_there && self.rules.rate.is_none();
+        // Silence of exactly the timeout is within it.
+        let longest = self.rules.timeout + Duration::from_nanos(1);
+        self.heard_at.filter(|_| is_watched).map(|at| at + longest)
     }
 
     /// Judges the channel by what is known of it now.
@@ -224,11 +203,12 @@ impl ConnectionJudge {
     fn judge_presence(&mut self, reading: &ChannelReading, now: Instant, causes: &mut Vec<String>) {
         let silence = reading.heard_at.map(|at| now - at);
         let too_slow = self.presence_rate.as_mut().map(|rate| rate.judge(reading.arrived, now));
-        let missing = match (self.rules.presence, silence) {
-            (Presence::Heard { timeout }, Some(silence)) => (silence > timeout)
+        let timeout = self.rules.timeout;
+        let missing = match (silence, too_slow) {
+            (None, _) => Some("never heard".to_owned()),
+            (Some(_), Some(too_slow)) => too_slow,
+            (Some(silence), None) => (silence > timeout)
                 .then(|| format!("silent for {silence:.1?}, at most {timeout:?}")),
-            (Presence::Rate { .. }, Some(_)) => too_slow.flatten(),
-            (_, None) => Some("never heard".to_owned()),
         };
         self.is_there = missing.is_none();
         causes.extend(missing);
@@ -296,15 +276,14 @@ mod tests {
         Instant::from_millis(millis)
     }
 
-    fn judge(presence: Presence, limits: ConnectionLimits) -> ConnectionJudge {
-        ConnectionJudge::new("beat".into(), ConnectionRules { presence, limits })
+    fn judge(rate: Option<(f64, Duration)>, limits: ConnectionLimits) -> ConnectionJudge {
+        let timeout = Duration::from_secs(3);
+        ConnectionJudge::new("beat".into(), ConnectionRules { timeout, rate, limits })
     }
-
-    const HEARD: Presence = Presence::Heard { timeout: Duration::from_secs(3) };
 
     #[test]
     fn a_channel_is_lost_until_it_is_heard_and_after_its_timeout() {
-        let mut beat = judge(HEARD, ConnectionLimits::default());
+        let mut beat = judge(None, ConnectionLimits::default());
         let mut look = |heard_at: Option<u64>, now: u64| {
             let heard_at = heard_at.map(at);
             beat.handle_reading(&ChannelReading { heard_at, ..ChannelReading::default() }, at(now));
@@ -320,8 +299,7 @@ mod tests {
 
     #[test]
     fn a_rate_is_counted_over_its_window_and_kept_at_four_fifths() {
-        let mut scan =
-            judge(Presence::Rate { hz: 10.0, window: SECOND }, ConnectionLimits::default());
+        let mut scan = judge(Some((10.0, SECOND)), ConnectionLimits::default());
         let (mut arrived, mut states) = (0, Vec::new());
         // Each rate holds for five seconds.
         for (rate, from) in [(20, 0), (9, 5), (7, 10), (9, 15), (12, 20)] {
@@ -340,7 +318,7 @@ mod tests {
     #[test]
     fn quality_changes_once_for_each_crossing_of_both_limits_and_not_in_silence() {
         let limits = ConnectionLimits { latency: Some(SECOND), ..ConnectionLimits::default() };
-        let mut radio = judge(HEARD, limits);
+        let mut radio = judge(None, limits);
         let mut look = |round_trip_ms: u64, now: u64, heard: u64| {
             let trip = Duration::from_millis(round_trip_ms);
             let latency = Some(Latency::of_round_trip(trip));
@@ -368,7 +346,7 @@ mod tests {
     #[test]
     fn a_limit_is_left_at_half_of_it_and_a_figure_that_becomes_known_needs_no_half() {
         let limits = ConnectionLimits { loss_permille: Some(100), ..ConnectionLimits::default() };
-        let mut radio = judge(HEARD, limits);
+        let mut radio = judge(None, limits);
         let mut look = |loss_permille: Option<u16>| {
             let heard_at = Some(at(0));
             let reading = ChannelReading { heard_at, loss_permille, ..Default::default() };
@@ -381,7 +359,7 @@ mod tests {
 
     #[test]
     fn an_hour_of_heartbeats_at_ten_hertz_and_thirty_percent_loss_changes_nothing() {
-        let (mut beat, mut random) = (judge(HEARD, ConnectionLimits::default()), Random::new(7));
+        let (mut beat, mut random) = (judge(None, ConnectionLimits::default()), Random::new(7));
         let mut heard_at = at(0);
         for tick in 0..36_000 {
             let now = at(tick * 100);
@@ -402,7 +380,7 @@ mod tests {
             loss_permille: Some(100),
             rate: Some((5.0, SECOND)),
         };
-        let mut radio = judge(HEARD, limits);
+        let mut radio = judge(None, limits);
         let reading = ChannelReading { heard_at: Some(at(0)), ..ChannelReading::default() };
         radio.handle_reading(&reading, at(0));
         assert_eq!(radio.state(), ConditionState::Degraded);

@@ -21,7 +21,7 @@ mod topic;
 
 pub use condition::Combination;
 pub use judge::{ChannelReading, ConditionState, ConnectionJudge, ConnectionLimits};
-pub use judge::{ConnectionRules, Latency, Presence};
+pub use judge::{ConnectionRules, Latency};
 pub use lost_communication::{LostCommunication, LostCommunicationEnd, LostCommunicationOutput};
 pub use round_trips::RoundTripEstimator;
 pub use topic::{LossEstimator, TopicArrival, TopicEstimator};
