@@ -155,7 +155,7 @@ tuples! {
 
 /// Describes an enumeration or a structure of this crate in the words of its definition.
 macro_rules! describe {
-    (struct $type:ident { $($name:ident: $of:ty),* $(,)? }) => {
+    (struct $type:ident $fields:tt) => {
         impl Described for $type {
             fn layout() -> &'static Layout {
                 const {
@@ -163,22 +163,7 @@ macro_rules! describe {
                         id: TypeId::of::<$type>,
                         shape: Shape::Struct(
                             Cow::Borrowed(stringify!($type)),
-                            Fields::Named(describe!(@fields $($name: $of),*)),
-                        ),
-                    }
-                }
-            }
-        }
-    };
-    (struct $type:ident($of:ty)) => {
-        impl Described for $type {
-            fn layout() -> &'static Layout {
-                const {
-                    &Layout {
-                        id: TypeId::of::<$type>,
-                        shape: Shape::Struct(
-                            Cow::Borrowed(stringify!($type)),
-                            Fields::Tuple(describe!(@fields 0: $of)),
+                            describe!(@variant $fields),
                         ),
                     }
                 }

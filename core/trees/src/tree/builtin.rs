@@ -398,11 +398,7 @@ impl Tree {
                 return self.port(id, 1);
             };
             if let Some(key) = self.key(id, 2) {
-                let value = element.to_string();
-                self.board.assign(key, element).map_err(|kind| {
-                    let error = PortError::Type { port: "value".into(), value, kind };
-                    self.error(id, error)
-                })?;
+                self.assign(id, key, element)?;
             }
         }
         self.node_mut(id).status = Status::Running;
@@ -427,8 +423,7 @@ impl Tree {
         if complete {
             return Ok(());
         }
-        let kind = element.name();
-        let error = PortError::Type { port: "queue".into(), value: value.to_string(), kind };
+        let error = PortError::of_type("queue", value, element.name());
         Err(self.error(id, error))
     }
 
@@ -468,11 +463,13 @@ impl Tree {
         if let Some(from) = self.key(id, 0) {
             self.board.take_kind(to, from);
         }
-        self.board.assign(to, value.clone()).map_err(|kind| {
-            let value = value.to_string();
-            self.error(id, PortError::Type { port: "value".into(), value, kind })
-        })?;
-        Ok(Status::Success)
+        self.assign(id, to, value).map(|()| Status::Success)
+    }
+
+    /// Writes the port `value` of a node to an entry.
+    fn assign(&mut self, id: TreeNodeId, key: KeyId, value: Value) -> Result<(), Box<TickError>> {
+        let assigned = self.board.assign(key, value.clone());
+        assigned.map_err(|kind| self.error(id, PortError::of_type("value", value, kind)))
     }
 
     /// The entry that a port names, or whose name is in the entry that the port is connected to.

@@ -35,6 +35,13 @@ pub enum PortError {
     },
 }
 
+impl PortError {
+    /// The value of this port is none of this kind.
+    pub(super) fn of_type(port: &str, value: impl ToString, kind: &'static str) -> PortError {
+        PortError::Type { port: port.to_owned(), value: value.to_string(), kind }
+    }
+}
+
 /// A tick that could not be carried out. No node is halted by it: the driver decides whether the
 /// tree goes on with the next tick, or is halted.
 #[derive(Debug, thiserror::Error)]

@@ -232,10 +232,7 @@ impl LeafContext<'_> {
         }
         let value = value_of(self.tree, bound)?;
         match port.refuses(value) {
-            Some(kind) => {
-                let (port, value) = (port.name.to_owned(), value.to_string());
-                Err(PortError::Type { port, value, kind })
-            }
+            Some(kind) => Err(PortError::of_type(port.name, value, kind)),
             None => converted(bound, value).map(Some),
         }
     }
@@ -247,11 +244,8 @@ impl LeafContext<'_> {
     /// The entry keeps another type.
     pub fn output<T: PortValue>(&mut self, port: &str, value: T) -> Result<(), PortError> {
         let PortBinding::Key(key) = self.bound(port)?.1.binding else { return Ok(()) };
-        self.tree.board.set(key, value).map_err(|kind| PortError::Type {
-            port: port.into(),
-            value: T::TYPE.name().into(),
-            kind,
-        })
+        let written = self.tree.board.set(key, value);
+        written.map_err(|kind| PortError::of_type(port, T::TYPE.name(), kind))
     }
 
     fn bound(&self, port: &str) -> Result<(&Port, &BoundPort), PortError> {
@@ -280,8 +274,5 @@ fn value_of<'t>(tree: &'t Tree, bound: &'t BoundPort) -> Result<&'t Value, PortE
 }
 
 fn converted<T: PortValue>(bound: &BoundPort, value: &Value) -> Result<T, PortError> {
-    T::from_value(value).ok_or_else(|| {
-        let (port, value, kind) = (bound.name.to_owned(), value.to_string(), T::TYPE.name());
-        PortError::Type { port, value, kind }
-    })
+    T::from_value(value).ok_or_else(|| PortError::of_type(bound.name, value, T::TYPE.name()))
 }

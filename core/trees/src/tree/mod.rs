@@ -322,7 +322,7 @@ impl Tree {
     ///
     /// The key has another type, to which the value does not convert, or the blackboard is full.
     pub fn set<T: PortValue>(&mut self, key: &str, value: T) -> Result<(), PortError> {
-        let error = |kind| PortError::Type { port: key.into(), value: T::TYPE.name().into(), kind };
+        let error = |kind| PortError::of_type(key, T::TYPE.name(), kind);
         let id = match self.board.find(key) {
             Some(id) => id,
             None if self.board.is_full() => return Err(error("entry of a full blackboard")),
