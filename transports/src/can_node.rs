@@ -14,6 +14,7 @@
 
 use crate::endpoint::CanNodeConfig;
 use crate::frame_medium::{FrameMedium, MediumEvent, OpenedMedium, QueueLimits, SendResult};
+use crate::medium_timer::MediumTimer;
 use blastema_contract::transport::MediumAddress;
 use blastema_core::medium::can::isotp::SeparationTime;
 use blastema_core::medium::can::{
@@ -24,12 +25,9 @@ use blastema_core::{Instant, Machine};
 use bytes::{BufMut, Bytes, BytesMut};
 use crc::{CRC_32_ISCSI, Crc};
 use std::collections::VecDeque;
-use std::future::Future;
 use std::io;
-use std::pin::Pin;
 use std::task::{Context, Poll};
 use std::time::Duration;
-use tokio::time::Sleep;
 
 static CHECK: Crc<u32> = Crc::<u32>::new(&CRC_32_ISCSI);
 /// How long the checksum is, in bytes.
@@ -97,7 +95,7 @@ pub struct CanNode<P> {
     /// A frame that the bus has not taken yet.
     ready: Option<CanFrame>,
     arrivals: VecDeque<MediumEvent>,
-    timer: Option<(Instant, Pin<Box<Sleep>>)>,
+    timer: MediumTimer,
 }
 
 impl<P: CanPort> CanNode<P> {
@@ -116,7 +114,7 @@ impl<P: CanPort> CanNode<P> {
             clash_reported_at: None,
             ready: None,
             arrivals: VecDeque::new(),
-            timer: None,
+            timer: MediumTimer::default(),
         }
     }
 
@@ -259,7 +257,7 @@ impl<P: CanPort> CanNode<P> {
         let Some(machine) = &mut self.machine else { return false };
         let now = (self.now)();
         let Some(due) = machine.poll_timeout() else {
-            self.timer = None;
+            self.timer = MediumTimer::default();
             return false;
         };
         if due <= now {
@@ -267,15 +265,7 @@ impl<P: CanPort> CanNode<P> {
             self.settle();
             return true;
         }
-        if self.timer.as_ref().is_none_or(|(armed, _)| *armed != due) {
-            self.timer = Some((due, Box::pin(tokio::time::sleep(due - now))));
-        }
-        let Some((_, timer)) = &mut self.timer else { return false };
-        let over = timer.as_mut().poll(task).is_ready();
-        if over {
-            self.timer = None;
-        }
-        over
+        self.timer.poll_at(due, now, task).is_ready()
     }
 }
 
@@ -352,7 +342,7 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
         self.machine = None;
         self.ready = None;
         self.arrivals.clear();
-        self.timer = None;
+        self.timer = MediumTimer::default();
     }
 }
 

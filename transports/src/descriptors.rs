@@ -3,8 +3,8 @@
 use std::io;
 #[cfg(any(feature = "tcp", feature = "unix"))]
 use {
-    std::{fmt::Display, future::Future, pin::Pin, task, time::Duration},
-    tokio::time::Sleep,
+    crate::medium_timer::MediumTimer,
+    std::{fmt::Display, task, time::Duration},
 };
 
 /// `EMFILE` and `ENFILE`, which have no kind of their own: the process may open no more files, the
@@ -26,7 +26,7 @@ pub(crate) fn are_used_up(error: &io::Error) -> bool {
 #[cfg(any(feature = "tcp", feature = "unix"))]
 #[derive(Default)]
 pub(crate) struct DescriptorWarning {
-    pause: Option<Pin<Box<Sleep>>>,
+    pause: MediumTimer,
 }
 
 #[cfg(any(feature = "tcp", feature = "unix"))]
@@ -42,10 +42,9 @@ impl DescriptorWarning {
         if !are_used_up(error) {
             return false;
         }
-        let warned_lately =
-            self.pause.as_mut().is_some_and(|it| it.as_mut().poll(task).is_pending());
+        let warned_lately = self.pause.poll(task).is_pending();
         if !warned_lately {
-            self.pause = Some(Box::pin(tokio::time::sleep(BETWEEN_WARNINGS)));
+            self.pause = MediumTimer::after(BETWEEN_WARNINGS);
             tracing::warn!("{what} ({error}): {MORE_DESCRIPTORS}");
         }
         !warned_lately

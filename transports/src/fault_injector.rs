@@ -1,18 +1,16 @@
 //! A bad cable between a link and any transport, for tests and demonstrations.
 
 use crate::medium::{BUDGET, MediumActor, transport};
+use crate::medium_timer::MediumTimer;
 use crate::upstream::Upstream;
 use actix::{AsyncContext, Context, Handler, MessageResult, ResponseFuture};
 use blastema_contract::transport::{
     Adopt, Attach, Close, Cut, Impair, InjectedFaults, Partition, ReadCounters, ReadInjectedFaults,
-    Received, Restore, Transmit, Transport, TransportReport,
+    Received, Restore, Transmit, Transport, TransportCounters, TransportReport,
 };
 use blastema_core::medium::impairment::ImpairedDirection;
 use blastema_core::{Instant, Machine};
-use std::future::Future;
-use std::pin::Pin;
 use std::task;
-use tokio::time::Sleep;
 
 /// What a [`FaultInjector`] begins with.
 #[derive(Clone, Debug)]
@@ -54,7 +52,7 @@ pub struct FaultInjector {
     state: Option<TransportReport>,
     /// The cut is one that a medium notices.
     cut_is_reported: bool,
-    timer: Option<(Instant, Pin<Box<Sleep>>)>,
+    timer: MediumTimer,
 }
 
 impl FaultInjector {
@@ -69,7 +67,7 @@ impl FaultInjector {
             incoming: ImpairedDirection::new(incoming, config.limit),
             state: None,
             cut_is_reported: false,
-            timer: None,
+            timer: MediumTimer::default(),
             config,
         }
     }
@@ -117,6 +115,12 @@ impl MediumActor for FaultInjector {
         self.inner.adopt.do_send(message);
     }
 
+    fn counters(&mut self) -> ResponseFuture<TransportCounters> {
+        let counters = self.inner.counters.send(ReadCounters);
+        // A transport that is gone has counted nothing.
+        Box::pin(async { counters.await.unwrap_or_default() })
+    }
+
     fn transmit(&mut self, message: Transmit) {
         self.outgoing.handle_frame(message, (self.config.now)());
     }
@@ -142,19 +146,14 @@ impl MediumActor for FaultInjector {
             }
             let due = [self.outgoing.poll_timeout(), self.incoming.poll_timeout()];
             let Some(due) = due.into_iter().flatten().min() else { return };
-            if self.timer.as_ref().is_none_or(|(armed, _)| *armed != due) {
-                self.timer = Some((due, Box::pin(tokio::time::sleep(due - now))));
-            }
-            let Some((_, timer)) = &mut self.timer else { return };
-            if timer.as_mut().poll(task).is_pending() {
+            if self.timer.poll_at(due, now, task).is_pending() {
                 return;
             }
-            self.timer = None;
         }
     }
 
     fn shut(&mut self) {
-        self.timer = None;
+        self.timer = MediumTimer::default();
     }
 
     fn close(&mut self) {
@@ -163,17 +162,7 @@ impl MediumActor for FaultInjector {
     }
 }
 
-transport!(counted elsewhere, FaultInjector);
-
-impl Handler<ReadCounters> for FaultInjector {
-    type Result = ResponseFuture<blastema_contract::transport::TransportCounters>;
-
-    fn handle(&mut self, message: ReadCounters, _: &mut Context<Self>) -> Self::Result {
-        let counters = self.inner.counters.send(message);
-        // A transport that is gone has counted nothing.
-        Box::pin(async { counters.await.unwrap_or_default() })
-    }
-}
+transport!(FaultInjector);
 
 impl Handler<Received> for FaultInjector {
     type Result = ();

@@ -1,7 +1,7 @@
 //! The body around any [`FrameMedium`].
 
 use crate::frame_medium::{FrameMedium, MediumEvent, OpenedMedium, SendResult};
-use crate::medium::{BUDGET, MediumActor, transport};
+use crate::medium::{BUDGET, MediumActor, PollBudget, transport};
 use crate::reopen_backoff::ReopenBackoff;
 use crate::transmit_queues::TransmitQueues;
 use crate::upstream::Upstream;
@@ -124,14 +124,16 @@ impl FrameTransport {
 
     /// Says whether the medium is still there.
     fn read(&mut self, task: &mut task::Context<'_>) -> bool {
-        for _ in 0..BUDGET {
+        let mut budget = PollBudget::default();
+        while budget.next() {
             if self.upstream.poll_capacity(task).is_pending() {
                 return true;
             }
             match self.medium.poll_receive(task) {
                 Poll::Pending => return true,
                 Poll::Ready(Ok(MediumEvent::Frame { from, frame })) => {
-                    self.upstream.deliver(from, frame)
+                    budget.spend(frame.len());
+                    self.upstream.deliver(from, frame);
                 }
                 Poll::Ready(Ok(MediumEvent::Refused)) => self.upstream.counters.refused += 1,
                 Poll::Ready(Ok(MediumEvent::Lost { frames })) => {

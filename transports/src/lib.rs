@@ -10,6 +10,7 @@
 //!   a receiver that hangs makes the medium's own buffers overflow, not the process.
 //! * `transmit_queues.rs`: frames that wait for a medium, in lanes: hellos go first, then
 //!   acknowledgements and other urgent frames.
+//! * `medium_timer.rs`: a time that a medium waits for.
 //! * `reopen_backoff.rs`: a medium that cannot be opened is tried again, with back-off.
 //! * `can_node.rs`: what CAN sockets and CAN adapters share: messages longer than a frame.
 //! * `bound_address.rs`, `frame_split.rs`: what the media with sockets share.
@@ -25,6 +26,7 @@ mod descriptors;
 mod frame_split;
 mod frame_transport;
 mod medium;
+mod medium_timer;
 mod reach;
 mod reopen_backoff;
 #[cfg(any(feature = "tcp", feature = "unix"))]
@@ -57,7 +59,10 @@ pub mod unix;
 
 #[cfg(all(feature = "can", target_os = "linux"))]
 pub use can::CanBus;
-pub use endpoint::{CanConfig, CanNodeConfig, Endpoint, EndpointError, SlcanConfig};
+pub use endpoint::{
+    CanConfig, CanNodeConfig, Endpoint, EndpointError, SlcanConfig, TcpConfig, UdpConfig,
+    UnixConfig,
+};
 
 #[cfg(feature = "fault")]
 pub use crate::fault_injector::FaultInjector;
@@ -73,8 +78,8 @@ pub use serial::{Rs485, SerialConfig, SerialLine};
 #[cfg(feature = "slcan")]
 pub use slcan::SlcanBus;
 #[cfg(feature = "tcp")]
-pub use tcp::{Tcp, TcpConfig};
+pub use tcp::Tcp;
 #[cfg(feature = "udp")]
-pub use udp::{Udp, UdpConfig};
+pub use udp::Udp;
 #[cfg(feature = "unix")]
-pub use unix::{Unix, UnixConfig};
+pub use unix::Unix;

@@ -2,8 +2,9 @@
 
 use crate::upstream::Upstream;
 use actix::fut::ActorFuture;
-use actix::{Actor, AsyncContext, Context, Supervised};
-use blastema_contract::transport::{Adopt, Attach, Transmit, TransmitBacklog};
+use actix::{Actor, AsyncContext, Context, ResponseFuture, Supervised};
+use blastema_contract::transport::{Adopt, Attach, Transmit, TransmitBacklog, TransportCounters};
+use std::future::ready;
 use std::pin::Pin;
 use std::task::{self, Poll};
 
@@ -12,24 +13,20 @@ use std::task::{self, Poll};
 pub(crate) const BUDGET: usize = 64;
 /// And how many bytes: a large frame may hold hundreds of messages, each of which a component
 /// serves.
-#[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "unix"))]
 const BUDGET_BYTES: usize = 128 * 1024;
 
 /// What is left of one turn.
-#[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "unix"))]
 pub(crate) struct PollBudget {
     frames: usize,
     bytes: usize,
 }
 
-#[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "unix"))]
 impl Default for PollBudget {
     fn default() -> Self {
         PollBudget { frames: BUDGET, bytes: BUDGET_BYTES }
     }
 }
 
-#[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "unix"))]
 impl PollBudget {
     /// Whether another frame may be tried; the first always may.
     pub(crate) fn next(&mut self) -> bool {
@@ -70,6 +67,13 @@ pub(crate) trait MediumActor: Actor<Context = Context<Self>> + Supervised {
     /// What waits to go out. A medium that hands frames on at once has nothing.
     fn backlog(&self) -> TransmitBacklog {
         TransmitBacklog::default()
+    }
+
+    /// What was counted until now.
+    fn counters(&mut self) -> ResponseFuture<TransportCounters> {
+        let mut counters = self.upstream().counters;
+        counters.backlog = self.backlog();
+        Box::pin(ready(counters))
     }
 
     /// Attaches another receiver.
@@ -121,94 +125,76 @@ impl<A: MediumActor> ActorFuture<A> for MediumPoller {
 /// orders.
 macro_rules! transport {
     ($medium:ty $(, <$family:ident: $bound:ident>)?) => {
-        crate::medium::transport!(counted elsewhere, $medium $(, <$family: $bound>)?);
+        const _: () = {
+            use crate::medium::{MediumActor, MediumPoller};
+            use actix::{Actor, ActorContext, Context, Handler, ResponseFuture, Supervised};
+            use blastema_contract::transport as contract;
 
-        impl$(<$family: $bound>)? actix::Handler<blastema_contract::transport::ReadCounters>
-            for $medium
-        {
-            type Result = actix::MessageResult<blastema_contract::transport::ReadCounters>;
+            impl$(<$family: $bound>)? Actor for $medium {
+                type Context = Context<Self>;
 
-            fn handle(
-                &mut self,
-                _: blastema_contract::transport::ReadCounters,
-                _: &mut actix::Context<Self>,
-            ) -> Self::Result {
-                let mut counters = crate::medium::MediumActor::upstream(self).counters;
-                counters.backlog = crate::medium::MediumActor::backlog(self);
-                actix::MessageResult(counters)
+                fn started(&mut self, context: &mut Context<Self>) {
+                    MediumActor::open(self, context);
+                    MediumPoller::start(context);
+                }
             }
-        }
-    };
-    (counted elsewhere, $medium:ty $(, <$family:ident: $bound:ident>)?) => {
-        impl$(<$family: $bound>)? actix::Actor for $medium {
-            type Context = actix::Context<Self>;
 
-            fn started(&mut self, context: &mut actix::Context<Self>) {
-                crate::medium::MediumActor::open(self, context);
-                crate::medium::MediumPoller::start(context);
+            /// The next incarnation opens at the same address and serves the receivers that were
+            /// attached.
+            impl$(<$family: $bound>)? Supervised for $medium {
+                fn restarting(&mut self, context: &mut Context<Self>) {
+                    self.shut();
+                    MediumActor::upstream(self).begin_next_incarnation();
+                    self.started(context);
+                }
             }
-        }
 
-        /// The next incarnation opens at the same address and serves the receivers that were
-        /// attached.
-        impl$(<$family: $bound>)? actix::Supervised for $medium {
-            fn restarting(&mut self, context: &mut actix::Context<Self>) {
-                crate::medium::MediumActor::shut(self);
-                crate::medium::MediumActor::upstream(self).begin_next_incarnation();
-                actix::Actor::started(self, context);
+            impl$(<$family: $bound>)? Handler<contract::Transmit> for $medium {
+                type Result = ();
+
+                fn handle(&mut self, message: contract::Transmit, _: &mut Context<Self>) {
+                    MediumActor::transmit(self, message);
+                }
             }
-        }
 
-        impl$(<$family: $bound>)? actix::Handler<blastema_contract::transport::Transmit> for $medium {
-            type Result = ();
+            impl$(<$family: $bound>)? Handler<contract::Attach> for $medium {
+                type Result = ();
 
-            fn handle(
-                &mut self,
-                message: blastema_contract::transport::Transmit,
-                _: &mut actix::Context<Self>,
-            ) {
-                crate::medium::MediumActor::transmit(self, message);
+                fn handle(&mut self, message: contract::Attach, context: &mut Context<Self>) {
+                    MediumActor::attach(self, message, context);
+                }
             }
-        }
 
-        impl$(<$family: $bound>)? actix::Handler<blastema_contract::transport::Attach> for $medium {
-            type Result = ();
+            impl$(<$family: $bound>)? Handler<contract::Adopt> for $medium {
+                type Result = ();
 
-            fn handle(
-                &mut self,
-                message: blastema_contract::transport::Attach,
-                context: &mut actix::Context<Self>,
-            ) {
-                crate::medium::MediumActor::attach(self, message, context);
+                fn handle(&mut self, message: contract::Adopt, _: &mut Context<Self>) {
+                    MediumActor::adopt(self, message);
+                }
             }
-        }
 
-        impl$(<$family: $bound>)? actix::Handler<blastema_contract::transport::Adopt> for $medium {
-            type Result = ();
+            impl$(<$family: $bound>)? Handler<contract::ReadCounters> for $medium {
+                type Result = ResponseFuture<contract::TransportCounters>;
 
-            fn handle(
-                &mut self,
-                message: blastema_contract::transport::Adopt,
-                _: &mut actix::Context<Self>,
-            ) {
-                crate::medium::MediumActor::adopt(self, message);
+                fn handle(
+                    &mut self,
+                    _: contract::ReadCounters,
+                    _: &mut Context<Self>,
+                ) -> Self::Result {
+                    MediumActor::counters(self)
+                }
             }
-        }
 
-        impl$(<$family: $bound>)? actix::Handler<blastema_contract::transport::Close> for $medium {
-            type Result = ();
+            impl$(<$family: $bound>)? Handler<contract::Close> for $medium {
+                type Result = ();
 
-            fn handle(
-                &mut self,
-                _: blastema_contract::transport::Close,
-                context: &mut actix::Context<Self>,
-            ) {
-                crate::medium::MediumActor::close(self);
-                let ended = blastema_contract::transport::TransportReport::Ended;
-                crate::medium::MediumActor::upstream(self).announce(ended);
-                actix::ActorContext::stop(context);
+                fn handle(&mut self, _: contract::Close, context: &mut Context<Self>) {
+                    MediumActor::close(self);
+                    MediumActor::upstream(self).announce(contract::TransportReport::Ended);
+                    context.stop();
+                }
             }
-        }
+        };
     };
 }
 

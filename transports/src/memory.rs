@@ -1,16 +1,15 @@
 //! Frames between actors of one process: for tests, and for nodes that share a process.
 
-use crate::medium::{MediumActor, PollBudget, transport};
-use crate::reopen_backoff::ReopenBackoff;
-use crate::upstream::Upstream;
-use actix::Context;
-use blastema_contract::transport::{MediumAddress, Transmit, TransportReport};
+use crate::frame_medium::{FrameMedium, MediumEvent, OpenedMedium, QueueLimits, SendResult};
+use crate::reach::Reach;
+use blastema_contract::transport::MediumAddress;
 use bytes::Bytes;
 use std::collections::{BTreeMap, VecDeque};
+use std::io;
 use std::sync::{Arc, LazyLock, Mutex, MutexGuard, PoisonError};
-use std::task::{self, Waker};
+use std::task::{Context, Poll, Waker};
 
-/// What several [`Memory`] transports share: who is where.
+/// What several [`Memory`] ends share: who is where.
 ///
 /// Ends on different media never meet, so that tests do not disturb each other.
 #[derive(Clone, Default)]
@@ -18,64 +17,34 @@ pub struct MemoryMedium(Arc<Mutex<BTreeMap<Arc<str>, Arc<Inbox>>>>);
 
 /// The largest frame, in bytes.
 const MTU: usize = 64 * 1024;
-/// So many frames wait for an end; beyond, they are dropped.
-const QUEUE_FRAMES: usize = 1024;
-/// So many bytes wait for an end; beyond, frames are dropped.
-const QUEUE_BYTES: usize = 4 << 20;
+/// So much waits for an end; beyond, frames are dropped.
+const LIMITS: QueueLimits = QueueLimits { frames: 1024, bytes: 4 << 20 };
 
-/// An end of a [`MemoryMedium`] as a transport. It opens no sockets and reads no clock, and so
-/// works under a paused one.
-///
-/// It lives until it is sent [`Close`](blastema_contract::transport::Close).
+/// An end of a [`MemoryMedium`] as a medium. It opens no sockets and reads no clock, and so works
+/// under a paused one.
 pub struct Memory {
     medium: MemoryMedium,
     name: Arc<str>,
-    upstream: Upstream,
-    reopening: ReopenBackoff,
     inbox: Option<Arc<Inbox>>,
 }
 
 impl Memory {
-    /// The end of this name, as a transport that opens when it is started.
+    /// The end of this name.
     ///
     /// ```
-    /// use blastema_transports::{Memory, MemoryMedium};
+    /// use blastema_transports::{FrameTransport, Memory, MemoryMedium};
     /// let medium = MemoryMedium::default();
-    /// let transport = Memory::new(&medium, "left");
+    /// let transport = FrameTransport::new(Memory::new(&medium, "left"));
     /// # let _ = transport;
     /// ```
     pub fn new(medium: &MemoryMedium, name: &str) -> Self {
-        Memory {
-            medium: medium.clone(),
-            name: name.into(),
-            upstream: Upstream::default(),
-            reopening: ReopenBackoff::default(),
-            inbox: None,
-        }
-    }
-
-    fn try_open(&mut self) {
-        let Memory { medium, name, .. } = self;
-        let inbox = Arc::<Inbox>::default();
-        if medium.enter(name, &inbox) {
-            self.inbox = Some(inbox);
-            self.reopening.reset();
-            let local = MediumAddress::Memory(name.clone());
-            let (mtu, is_probed) = (MTU, false);
-            self.upstream.announce(TransportReport::Opened { local, mtu, is_probed });
-        } else {
-            self.reopening.failed();
-            self.upstream.announce_closed(format!(
-                "the memory end {name} is already open: close the other, or choose another name; \
-                 trying again"
-            ));
-        }
+        Memory { medium: medium.clone(), name: name.into(), inbox: None }
     }
 }
 
 impl Drop for Memory {
     fn drop(&mut self) {
-        self.shut();
+        self.close();
     }
 }
 
@@ -133,7 +102,7 @@ impl Inbox {
     /// Takes a frame in, if there is room.
     fn push(&self, from: Arc<str>, frame: Bytes) -> bool {
         let mut waiting = self.waiting();
-        if waiting.frames.len() >= QUEUE_FRAMES || waiting.bytes + frame.len() > QUEUE_BYTES {
+        if waiting.frames.len() >= LIMITS.frames || waiting.bytes + frame.len() > LIMITS.bytes {
             return false;
         }
         waiting.bytes += frame.len();
@@ -147,7 +116,7 @@ impl Inbox {
     }
 
     /// The oldest frame; if there is none, the task is woken when one arrives.
-    fn pop(&self, task: &mut task::Context<'_>) -> Option<(Arc<str>, Bytes)> {
+    fn pop(&self, task: &mut Context<'_>) -> Option<(Arc<str>, Bytes)> {
         let mut waiting = self.waiting();
         let popped = waiting.frames.pop_front();
         match &popped {
@@ -158,60 +127,57 @@ impl Inbox {
     }
 }
 
-impl MediumActor for Memory {
-    fn upstream(&mut self) -> &mut Upstream {
-        &mut self.upstream
+impl FrameMedium for Memory {
+    fn name(&self) -> String {
+        format!("memory {}", self.name)
     }
 
-    fn open(&mut self, _: &mut Context<Self>) {
-        self.reopening.reset();
-        self.try_open();
+    fn reach(&self) -> Reach {
+        Reach::Process
     }
 
-    fn transmit(&mut self, message: Transmit) {
-        let Transmit { to, frame, .. } = message;
-        let counters = &mut self.upstream.counters;
-        let MediumAddress::Memory(to) = to else {
-            counters.refused += 1;
-            return;
+    fn queue(&self) -> QueueLimits {
+        LIMITS
+    }
+
+    fn open(&mut self) -> io::Result<OpenedMedium> {
+        let inbox = Arc::<Inbox>::default();
+        if !self.medium.enter(&self.name, &inbox) {
+            let text = "it is open already: close the other end, or choose another name";
+            return Err(io::Error::other(text));
+        }
+        self.inbox = Some(inbox);
+        Ok(OpenedMedium { local: MediumAddress::Memory(self.name.clone()), mtu: MTU })
+    }
+
+    fn knows(&self, address: &MediumAddress) -> bool {
+        matches!(address, MediumAddress::Memory(_))
+    }
+
+    fn poll_send(
+        &mut self,
+        _: &mut Context<'_>,
+        to: &MediumAddress,
+        frame: &Bytes,
+    ) -> Poll<io::Result<SendResult>> {
+        let end = match to {
+            MediumAddress::Memory(to) => self.medium.end(to),
+            _ => None,
         };
-        if frame.len() > MTU {
-            counters.refused += 1;
-            return;
-        }
-        let end = self.medium.end(&to).filter(|_| self.inbox.is_some());
-        if end.is_some_and(|end| end.push(self.name.clone(), frame.into_bytes())) {
-            counters.sent += 1;
-        } else {
-            counters.dropped += 1;
-        }
+        let is_taken = end.is_some_and(|end| end.push(self.name.clone(), frame.clone()));
+        Poll::Ready(Ok(if is_taken { SendResult::Sent } else { SendResult::Dropped }))
     }
 
-    fn pump(&mut self, task: &mut task::Context<'_>) {
-        while self.inbox.is_none() {
-            if self.reopening.poll_due(task).is_pending() {
-                return;
-            }
-            self.try_open();
-        }
-        let Some(inbox) = self.inbox.clone() else { return };
-        let mut budget = PollBudget::default();
-        while budget.next() {
-            if self.upstream.poll_capacity(task).is_pending() {
-                return;
-            }
-            let Some((from, frame)) = inbox.pop(task) else { return };
-            budget.spend(frame.len());
-            self.upstream.deliver(MediumAddress::Memory(from), frame);
-        }
-        task.waker().wake_by_ref();
+    fn poll_receive(&mut self, task: &mut Context<'_>) -> Poll<io::Result<MediumEvent>> {
+        let Some((from, frame)) = self.inbox.as_ref().and_then(|inbox| inbox.pop(task)) else {
+            return Poll::Pending;
+        };
+        Poll::Ready(Ok(MediumEvent::Frame { from: MediumAddress::Memory(from), frame }))
     }
 
-    fn shut(&mut self) {
+    fn close(&mut self) {
         if let Some(inbox) = self.inbox.take() {
             self.medium.leave(&self.name, &inbox);
         }
     }
 }
-
-transport!(Memory);

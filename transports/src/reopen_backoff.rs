@@ -1,11 +1,9 @@
 //! Opening a medium again when it could not be opened or was lost.
 
+use crate::medium_timer::MediumTimer;
 use blastema_core::recovery::Backoff;
-use std::future::Future;
-use std::pin::Pin;
 use std::task::{self, Poll};
 use std::time::Duration;
-use tokio::time::Sleep;
 
 /// What a dying process still holds is free after some milliseconds; how late a freed port may be
 /// noticed is the limit. One process tries one address, so that jitter is not needed.
@@ -20,7 +18,7 @@ const BACKOFF: Backoff = Backoff {
 #[derive(Default)]
 pub(crate) struct ReopenBackoff {
     failures: u32,
-    pause: Option<Pin<Box<Sleep>>>,
+    pause: MediumTimer,
 }
 
 impl ReopenBackoff {
@@ -28,7 +26,7 @@ impl ReopenBackoff {
     pub(crate) fn failed(&mut self) {
         self.failures = self.failures.saturating_add(1);
         let pause = BACKOFF.delay(self.failures.saturating_add(1), 0);
-        self.pause = Some(Box::pin(tokio::time::sleep(pause)));
+        self.pause = MediumTimer::after(pause);
     }
 
     /// Forgets the failures: it is open now, or a new incarnation begins.
@@ -38,9 +36,6 @@ impl ReopenBackoff {
 
     /// Ready when the next attempt is due.
     pub(crate) fn poll_due(&mut self, task: &mut task::Context<'_>) -> Poll<()> {
-        match &mut self.pause {
-            Some(pause) => pause.as_mut().poll(task),
-            None => Poll::Ready(()),
-        }
+        self.pause.poll(task)
     }
 }

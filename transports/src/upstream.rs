@@ -7,7 +7,6 @@ use blastema_contract::transport::{
 use blastema_core::Instant;
 use bytes::Bytes;
 use std::collections::VecDeque;
-use std::future::Future;
 use std::pin::Pin;
 use std::task::{self, Poll};
 

@@ -9,7 +9,6 @@ use blastema_core::contract::packed;
 use blastema_core::{Contract, Delivery, DeliveryError, Described, Event, Variable};
 use blastema_lite::{Port, PortKind};
 use std::any::TypeId;
-use std::future::Future;
 use std::pin::Pin;
 use std::sync::Arc;
 use tracing::warn;

@@ -47,7 +47,9 @@ use blastema_core::{
     Severity,
 };
 use blastema_doubles::{Probe, advance, paused, settle};
-use blastema_transports::{FaultInjector, FaultInjectorConfig, Memory, MemoryMedium};
+use blastema_transports::{
+    FaultInjector, FaultInjectorConfig, FrameTransport, Memory, MemoryMedium,
+};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -174,7 +176,7 @@ impl Robot {
                 LinkSpec { neighbour, ..LinkSpec::new(&format!("{network}-{name}"), remote) }
             });
             let end = format!("{network}/{name}");
-            let memory = Memory::new(&self.medium, &end).start();
+            let memory = FrameTransport::new(Memory::new(&self.medium, &end)).start();
             let config = FaultInjectorConfig::new(1, platform::now);
             let cable = FaultInjector::new(Transport::from(memory), config).start();
             self.cables.push((end, cable.clone()));

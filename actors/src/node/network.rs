@@ -110,9 +110,7 @@ impl Medium {
     /// The interface and the address that its socket is bound to.
     fn socket(&self) -> Option<(Option<&str>, SocketAddr)> {
         match self {
-            #[cfg(feature = "ip")]
             Medium::At(Endpoint::Udp(config)) => Some((config.interface.as_deref(), config.bind)),
-            #[cfg(feature = "ip")]
             Medium::At(Endpoint::Tcp(config)) => Some((config.interface.as_deref(), config.bind)),
             _ => None,
         }

@@ -2,7 +2,6 @@
 
 use blastema_core::Instant;
 use std::cell::Cell;
-use std::future::Future;
 use std::time::Duration;
 
 /// So many turns are left to the actors to settle. A turn runs up to 61 tasks, and a message needs

@@ -12,12 +12,12 @@ mod layout;
 
 use crate::can_node::{CanNode, CanPort};
 use crate::endpoint::CanConfig;
+use crate::medium_timer::MediumTimer;
 use blastema_core::Instant;
 use blastema_core::medium::can::{CanFrame, Format};
 use layout::{BUS_OFF, EXTENDED, REMOTE};
 use socket2::SockRef;
 use socketcan::{CanFdSocket, CanFilter, Socket, SocketOptions};
-use std::future::Future;
 use std::io;
 use std::pin::Pin;
 use std::sync::Arc;
@@ -25,7 +25,6 @@ use std::task::{Context, Poll, ready};
 use std::time::Duration;
 use tokio::io::{Interest, Ready};
 use tokio::net::UnixDatagram;
-use tokio::time::Sleep;
 
 /// A CAN interface as a medium.
 ///
@@ -58,7 +57,7 @@ impl CanBus {
             if config.fd { Format::Fd { fast: config.bit_rate_switch } } else { Format::Classic };
         let node = config.node.clone();
         CanNode::over(
-            CanSocket { config, socket: None, failing: None, pause: None },
+            CanSocket { config, socket: None, failing: None, pause: MediumTimer::default() },
             node,
             format,
             now,
@@ -73,7 +72,7 @@ pub struct CanSocket {
     /// Ready when the kernel has something to say of the interface: reading is not woken by it.
     failing: Option<Pin<Box<dyn Future<Output = io::Result<Ready>> + Send>>>,
     /// The interface's queue is full: the next attempt.
-    pause: Option<Pin<Box<Sleep>>>,
+    pause: MediumTimer,
 }
 
 impl CanSocket {
@@ -176,17 +175,14 @@ impl CanPort for CanSocket {
         let mut bytes = [0; layout::FD];
         let length = layout::write(frame, &mut bytes);
         loop {
-            if let Some(pause) = &mut self.pause {
-                ready!(pause.as_mut().poll(task));
-                self.pause = None;
-            }
+            ready!(self.pause.poll(task));
             let Some(socket) = &self.socket else { return Poll::Ready(Err(closed())) };
             ready!(socket.poll_send_ready(task))?;
             match socket.try_send(&bytes[..length]) {
                 Ok(_) => return Poll::Ready(Ok(())),
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
                 Err(error) if is_full(&error) => {
-                    self.pause = Some(Box::pin(tokio::time::sleep(FULL_PAUSE)));
+                    self.pause = MediumTimer::after(FULL_PAUSE);
                 }
                 Err(error) => return Poll::Ready(Err(self.explain(error))),
             }
@@ -214,7 +210,7 @@ impl CanPort for CanSocket {
 
     fn close(&mut self) {
         (self.socket, self.failing) = (None, None);
-        self.pause = None;
+        self.pause = MediumTimer::default();
     }
 }
 

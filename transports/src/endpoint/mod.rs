@@ -10,37 +10,28 @@
 //! interface, a port or a file exists; that the transport finds out, and again after every loss.
 
 mod can;
+mod connections;
 mod error;
 mod host;
 mod media;
 mod reach;
 mod settings;
-#[cfg(any(feature = "udp", feature = "tcp"))]
+mod udp;
 mod validation;
 
 pub use self::can::{CanConfig, CanNodeConfig, SLCAN_BIT_RATES, SLCAN_DATA_RATES, SlcanConfig};
+pub use self::connections::{StreamLimits, TcpConfig, UnixConfig};
 pub use self::error::EndpointError;
 pub use self::host::NamedHost;
+pub use self::udp::UdpConfig;
 
 use self::error::Wrong;
 use self::settings::{Settings, duration};
 #[cfg(feature = "serial")]
 use crate::serial::{Parity, Rs485, SerialConfig, StopBits};
-#[cfg(any(feature = "tcp", feature = "unix"))]
-use crate::stream::StreamLimits;
-#[cfg(feature = "tcp")]
-use crate::tcp::TcpConfig;
-#[cfg(feature = "udp")]
-use crate::udp::UdpConfig;
-#[cfg(feature = "unix")]
-use crate::unix::UnixConfig;
 use blastema_contract::transport::MediumAddress;
 use blastema_core::net::routing::MTU_MIN;
-#[cfg(any(feature = "udp", feature = "tcp"))]
-use std::net::IpAddr;
-use std::net::SocketAddr;
-#[cfg(feature = "udp")]
-use std::net::{Ipv4Addr, Ipv6Addr};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::PathBuf;
 use std::str::FromStr;
 #[cfg(feature = "serial")]
@@ -83,13 +74,10 @@ const LEAST_BYTES: u64 = MTU_MIN as u64;
 #[non_exhaustive]
 pub enum Endpoint {
     /// `udp://`: datagrams between sockets.
-    #[cfg(feature = "udp")]
     Udp(UdpConfig),
     /// `tcp://`: one connection to each peer.
-    #[cfg(feature = "tcp")]
     Tcp(TcpConfig),
     /// `unix://`: Unix-domain sockets on one computer.
-    #[cfg(feature = "unix")]
     Unix(UnixConfig),
     /// `serial://`: a serial line.
     #[cfg(feature = "serial")]
@@ -138,11 +126,8 @@ impl Endpoint {
     /// The text is no address there.
     pub fn peer(&self, text: &str) -> Result<MediumAddress, EndpointError> {
         let parsed = match self {
-            #[cfg(feature = "udp")]
             Endpoint::Udp(_) => ip(text).map(MediumAddress::Ip),
-            #[cfg(feature = "tcp")]
             Endpoint::Tcp(_) => ip(text).map(MediumAddress::Ip),
-            #[cfg(feature = "unix")]
             Endpoint::Unix(_) => check_socket_path(text.len())
                 .and_then(|()| path(text, "/run/b.sock"))
                 .map(|path| MediumAddress::Unix(path.into())),
@@ -169,9 +154,7 @@ impl Endpoint {
     /// How many connections may be open there beside those of peers.
     pub fn strangers(&self) -> usize {
         match self {
-            #[cfg(feature = "tcp")]
             Endpoint::Tcp(config) => config.limits.strangers,
-            #[cfg(feature = "unix")]
             Endpoint::Unix(config) => config.limits.strangers,
             _ => 0,
         }
@@ -183,14 +166,11 @@ impl Endpoint {
     /// What is wrong, and what to write.
     pub fn check(&self) -> Result<(), String> {
         match self {
-            #[cfg(feature = "udp")]
             Endpoint::Udp(config) => {
                 config.group.map_or(Ok(()), validation::check_group)?;
                 validation::check_own(config.bind)
             }
-            #[cfg(feature = "tcp")]
             Endpoint::Tcp(config) => validation::check_own(config.bind),
-            #[cfg(feature = "unix")]
             Endpoint::Unix(config) => check_socket_path(config.path.as_os_str().len()),
             Endpoint::Memory(name) if name.is_empty() => {
                 Err("our own end of the memory medium has no name: give it one".to_owned())
@@ -202,21 +182,18 @@ impl Endpoint {
     /// Why no other node can be at this address of the medium.
     pub fn objection(&self, peer: &MediumAddress) -> Option<&'static str> {
         let is_own = match (self, peer) {
-            #[cfg(feature = "udp")]
             (Endpoint::Udp(config), MediumAddress::Ip(peer)) => {
                 if config.group != Some(*peer) && !validation::is_host_address(*peer) {
                     return Some(validation::NO_PEER);
                 }
                 validation::is_own(config.bind, *peer)
             }
-            #[cfg(feature = "tcp")]
             (Endpoint::Tcp(config), MediumAddress::Ip(peer)) => {
                 if !validation::is_host_address(*peer) {
                     return Some(validation::NO_PEER);
                 }
                 validation::is_own(config.bind, *peer)
             }
-            #[cfg(feature = "unix")]
             (Endpoint::Unix(config), MediumAddress::Unix(path)) => config.path == **path,
             (Endpoint::Can(CanConfig { node, .. }), MediumAddress::Can(peer))
             | (Endpoint::Slcan(SlcanConfig { node, .. }), MediumAddress::Can(peer)) => {
@@ -235,14 +212,12 @@ impl Endpoint {
 }
 
 /// The longest path of a Unix-domain socket on Linux, in bytes, without the closing zero.
-#[cfg(feature = "unix")]
 const SOCKET_PATH: usize = 107;
 
 /// Finds a path of a Unix-domain socket that is too long, by its length in bytes.
 ///
 /// # Errors
 /// What is wrong with it, and what to do.
-#[cfg(feature = "unix")]
 pub fn check_socket_path(length: usize) -> Result<(), String> {
     match length <= SOCKET_PATH {
         true => Ok(()),
@@ -261,7 +236,6 @@ pub fn is_interface(text: &str) -> bool {
 
 /// Reads an endpoint, of which `address` replaces the one that it names, and its setting
 /// `insecure`.
-#[cfg_attr(not(any(feature = "udp", feature = "tcp")), expect(unused_variables))]
 fn read(text: &str, address: Option<SocketAddr>) -> Result<(Endpoint, bool), Wrong<'_>> {
     let Some((medium, rest)) = text.split_once("://") else {
         let problem = "an endpoint begins with its medium, as in udp://0.0.0.0:7400";
@@ -272,15 +246,11 @@ fn read(text: &str, address: Option<SocketAddr>) -> Result<(Endpoint, bool), Wro
     let medium = media::find(&media::MEDIA, medium).map_err(|why| Wrong(medium, why))?;
     let mut settings = Settings::new(query)?;
     let at_place = |why| Wrong(place, why);
-    #[cfg(any(feature = "udp", feature = "tcp"))]
     let own = || address.map_or_else(|| ip(place), Ok).map_err(at_place);
     let path = |example| path(place, example).map_err(at_place);
     let endpoint = match medium {
-        #[cfg(feature = "udp")]
         "udp" => udp(own()?, &mut settings)?,
-        #[cfg(feature = "tcp")]
         "tcp" => tcp(own()?, &mut settings)?,
-        #[cfg(feature = "unix")]
         "unix" => unix(path("unix:///run/robot.sock")?, &mut settings)?,
         #[cfg(feature = "serial")]
         "serial" => serial(path("serial:///dev/ttyUSB0")?, &mut settings)?,
@@ -304,7 +274,6 @@ fn path(text: &str, example: &str) -> Result<PathBuf, String> {
 }
 
 /// An IP address with its port.
-#[cfg(any(feature = "udp", feature = "tcp"))]
 fn ip(text: &str) -> Result<SocketAddr, String> {
     text.parse().map_err(|_| match text.parse::<IpAddr>() {
         Ok(address) => format!("the port is missing: write {}", SocketAddr::new(address, 7400)),
@@ -315,13 +284,11 @@ fn ip(text: &str) -> Result<SocketAddr, String> {
     })
 }
 
-#[cfg(any(feature = "udp", feature = "tcp"))]
 fn interface<'a>(settings: &mut Settings<'a>) -> Result<Option<String>, Wrong<'a>> {
     let expected = "the name of an interface, as in eth0: 1 to 15 letters without slash";
     settings.take("interface", expected, |text| is_interface(text).then(|| text.to_owned()))
 }
 
-#[cfg(feature = "udp")]
 fn udp<'a>(address: SocketAddr, settings: &mut Settings<'a>) -> Result<Endpoint, Wrong<'a>> {
     let mut config = UdpConfig { bind: address, ..UdpConfig::default() };
     if address.ip().is_multicast() {
@@ -348,7 +315,6 @@ fn udp<'a>(address: SocketAddr, settings: &mut Settings<'a>) -> Result<Endpoint,
     Ok(Endpoint::Udp(config))
 }
 
-#[cfg(feature = "tcp")]
 fn tcp<'a>(bind: SocketAddr, settings: &mut Settings<'a>) -> Result<Endpoint, Wrong<'a>> {
     let interface = interface(settings)?;
     let mut config = TcpConfig { bind, interface, ..TcpConfig::default() };
@@ -358,7 +324,6 @@ fn tcp<'a>(bind: SocketAddr, settings: &mut Settings<'a>) -> Result<Endpoint, Wr
 }
 
 /// How much a medium of connections holds, and how long it waits for peers.
-#[cfg(any(feature = "tcp", feature = "unix"))]
 fn limits<'a>(settings: &mut Settings<'a>, limits: &mut StreamLimits) -> Result<(), Wrong<'a>> {
     settings.number("mtu", LEAST_BYTES..=MOST_BYTES, &mut limits.mtu)?;
     settings.number("peers", 1..=65_536, &mut limits.peers)?;
@@ -368,7 +333,6 @@ fn limits<'a>(settings: &mut Settings<'a>, limits: &mut StreamLimits) -> Result<
     settings.span("hello_timeout", &mut limits.hello_timeout)
 }
 
-#[cfg(feature = "unix")]
 fn unix<'a>(path: PathBuf, settings: &mut Settings<'a>) -> Result<Endpoint, Wrong<'a>> {
     let mut config = UnixConfig::new(path);
     let mode = settings.take("mode", "permissions in octal, as in 660", |text| {

@@ -3,7 +3,6 @@
 use super::{CanConfig, Endpoint, SlcanConfig};
 use crate::reach::Reach;
 use std::fmt;
-#[cfg(any(feature = "udp", feature = "tcp"))]
 use std::net::IpAddr;
 
 impl Endpoint {
@@ -12,15 +11,11 @@ impl Endpoint {
     /// multicast group of IPv6 is joined on an interface of the system's choice.
     pub fn reach(&self) -> Reach {
         match self {
-            #[cfg(feature = "udp")]
             Endpoint::Udp(config) if config.group.is_some_and(|group| group.is_ipv6()) => {
                 Reach::Network
             }
-            #[cfg(feature = "udp")]
             Endpoint::Udp(config) => reach_of(config.bind.ip()),
-            #[cfg(feature = "tcp")]
             Endpoint::Tcp(config) => reach_of(config.bind.ip()),
-            #[cfg(feature = "unix")]
             Endpoint::Unix(_) => Reach::CheckedUsers,
             #[cfg(feature = "serial")]
             Endpoint::Serial(_) => Reach::Network,
@@ -30,7 +25,6 @@ impl Endpoint {
     }
 }
 
-#[cfg(any(feature = "udp", feature = "tcp"))]
 fn reach_of(own: IpAddr) -> Reach {
     if own.to_canonical().is_loopback() { Reach::Computer } else { Reach::Network }
 }
@@ -39,11 +33,8 @@ impl Endpoint {
     /// The medium and the place, as they stand before and behind `://`.
     pub(super) fn shown(&self) -> (&'static str, String) {
         match self {
-            #[cfg(feature = "udp")]
             Endpoint::Udp(config) => ("udp", config.group.unwrap_or(config.bind).to_string()),
-            #[cfg(feature = "tcp")]
             Endpoint::Tcp(config) => ("tcp", config.bind.to_string()),
-            #[cfg(feature = "unix")]
             Endpoint::Unix(config) => ("unix", config.path.display().to_string()),
             #[cfg(feature = "serial")]
             Endpoint::Serial(config) => ("serial", config.path.display().to_string()),

@@ -90,7 +90,6 @@ impl<'a> Settings<'a> {
     }
 
     /// Puts a time of a millisecond to an hour in place of `target`, if one is given.
-    #[cfg(any(feature = "tcp", feature = "unix", feature = "serial"))]
     pub(super) fn span(
         &mut self,
         key: &'static str,

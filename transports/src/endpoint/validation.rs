@@ -11,7 +11,6 @@ fn is_of_many(ip: IpAddr) -> bool {
 /// A group has a port, and is none of the network's own protocols: 224.0.0.0/24 is (RFC 5771,
 /// section 4), and of IPv6 all that are assigned for good (RFC 4291, section 2.7: without the flag
 /// T).
-#[cfg(feature = "udp")]
 pub(super) fn check_group(group: SocketAddr) -> Result<(), String> {
     let is_reserved = match group.ip() {
         IpAddr::V4(group) => group.octets()[..3] == [224, 0, 0],

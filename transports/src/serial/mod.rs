@@ -24,18 +24,17 @@ pub use tokio_serial::SerialStream;
 use self::framing::{Deframer, encode, encoded_length};
 use self::line_pacer::{DriverBacklog, LinePacer, PIECE};
 use crate::frame_medium::{FrameMedium, MediumEvent, OpenedMedium, QueueLimits, SendResult};
+use crate::medium_timer::MediumTimer;
 use crate::usb_device::{is_usb_device, unopened};
 use blastema_contract::transport::MediumAddress;
 use blastema_core::Instant;
 use bytes::Bytes;
-use std::future::Future;
 use std::io;
 use std::path::Path;
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::time::Sleep;
 use tokio_serial::{ClearBuffer, DataBits, FlowControl, SerialPort};
 
 /// A line that carries so many bytes in a second is not slow: hellos are nothing to it.
@@ -65,7 +64,7 @@ pub struct SerialLine {
     written: usize,
     pace: LinePacer,
     /// Ends when the line may have taken what was written.
-    timer: Option<Pin<Box<Sleep>>>,
+    timer: MediumTimer,
 }
 
 impl SerialLine {
@@ -80,7 +79,7 @@ impl SerialLine {
             outgoing: Vec::new(),
             written: 0,
             pace: LinePacer::default(),
-            timer: None,
+            timer: MediumTimer::default(),
             config,
         }
     }
@@ -96,10 +95,7 @@ impl SerialLine {
     /// Ready when the line has taken nearly all that was written.
     fn poll_line(&mut self, task: &mut Context<'_>) -> Poll<()> {
         loop {
-            if let Some(timer) = &mut self.timer {
-                ready!(timer.as_mut().poll(task));
-                self.timer = None;
-            }
+            ready!(self.timer.poll(task));
             // A port that cannot say shows by its errors soon enough what it is like.
             let queued = self.port.as_ref().and_then(|port| port.bytes_to_write().ok());
             let held = match queued.unwrap_or(0) as usize {
@@ -109,7 +105,7 @@ impl SerialLine {
             };
             let now = (self.now)();
             let Some(due) = self.pace.due(held, now) else { return Poll::Ready(()) };
-            self.timer = Some(Box::pin(tokio::time::sleep(due - now)));
+            self.timer = MediumTimer::after(due - now);
         }
     }
 }
@@ -238,7 +234,7 @@ impl FrameMedium for SerialLine {
         self.deframer = Deframer::new(self.config.mtu());
         self.unread = 0..0;
         self.outgoing.clear();
-        (self.pace, self.timer) = (LinePacer::default(), None);
+        (self.pace, self.timer) = (LinePacer::default(), MediumTimer::default());
     }
 }
 

@@ -9,6 +9,7 @@
 
 use crate::can_node::{CanNode, CanPort};
 use crate::endpoint::SlcanConfig;
+use crate::medium_timer::MediumTimer;
 use crate::usb_device::{is_usb_device, unopened};
 use blastema_core::Instant;
 use blastema_core::medium::can::slcan::{
@@ -16,13 +17,11 @@ use blastema_core::medium::can::slcan::{
 };
 use blastema_core::medium::can::{CanFrame, Format};
 use std::collections::VecDeque;
-use std::future::Future;
 use std::io;
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::time::Sleep;
 use tokio_serial::{SerialPort, SerialStream};
 
 /// So many bytes are read at once: what the system holds of a terminal.
@@ -71,11 +70,11 @@ struct Line {
     outgoing: VecDeque<u8>,
     /// How many lines, and frames, had been refused when that was last looked at.
     refused: u64,
-    timer: Option<(Instant, Pin<Box<Sleep>>)>,
+    timer: MediumTimer,
     /// Whether the system says how many bytes wait for the line.
     counts: bool,
     /// Until it is looked again.
-    look: Option<Pin<Box<Sleep>>>,
+    look: MediumTimer,
 }
 
 impl CanPort for SlcanAdapter {
@@ -117,9 +116,9 @@ impl CanPort for SlcanAdapter {
             // Whatever an ended program left half said comes to its end.
             outgoing: b"\r\r\r".iter().copied().collect(),
             refused: 0,
-            timer: None,
+            timer: MediumTimer::default(),
             counts: !is_usb_device(&self.config.path),
-            look: None,
+            look: MediumTimer::default(),
         });
         Ok(())
     }
@@ -148,7 +147,7 @@ impl CanPort for SlcanAdapter {
         match line.control.takes(now) {
             Ok(()) => {}
             Err(Some(then)) => {
-                ready!(line.poll_timer(task, then, now));
+                ready!(line.timer.poll_at(then, now, task));
             }
             Err(None) => return Poll::Ready(Err(unplugged())),
         }
@@ -207,16 +206,13 @@ impl Line {
     /// Ready when little waits in the system.
     fn poll_drained(&mut self, task: &mut Context<'_>) -> Poll<()> {
         loop {
-            if let Some(look) = &mut self.look {
-                ready!(look.as_mut().poll(task));
-                self.look = None;
-            }
+            ready!(self.look.poll(task));
             // A port that cannot say shows by its errors soon enough what it is like.
             let held = || self.port.bytes_to_write().unwrap_or(0);
             if !self.counts || held() <= HELD_MAX {
                 return Poll::Ready(());
             }
-            self.look = Some(Box::pin(tokio::time::sleep(LOOK)));
+            self.look = MediumTimer::after(LOOK);
         }
     }
 
@@ -243,7 +239,7 @@ impl Line {
                 flushed?;
             }
             let due = self.control.poll_timeout().unwrap_or(now);
-            if self.poll_timer(task, due, now).is_pending() {
+            if self.timer.poll_at(due, now, task).is_pending() {
                 return Ok(false);
             }
             self.control.handle_timeout(due);
@@ -268,16 +264,6 @@ impl Line {
             }
         }
         Ok(None)
-    }
-
-    fn poll_timer(&mut self, task: &mut Context<'_>, due: Instant, now: Instant) -> Poll<()> {
-        if self.timer.as_ref().is_none_or(|(armed, _)| *armed != due) {
-            self.timer = Some((due, Box::pin(tokio::time::sleep(due - now))));
-        }
-        let Some((_, timer)) = &mut self.timer else { return Poll::Ready(()) };
-        ready!(timer.as_mut().poll(task));
-        self.timer = None;
-        Poll::Ready(())
     }
 }
 

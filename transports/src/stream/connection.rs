@@ -3,7 +3,6 @@
 use super::framing::{announced, capacity, decode};
 use super::outgoing::StreamSendQueue;
 use bytes::{BufMut, Bytes, BytesMut};
-use std::future::Future;
 use std::pin::pin;
 use std::task::{self, Poll};
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite};

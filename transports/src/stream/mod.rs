@@ -33,7 +33,9 @@ use self::connection::{DisconnectReason, ReadEnd};
 use self::peer::{ConnectionState, StreamPeer};
 use self::stranger::{Greeting, Stranger, UnprovenConnection};
 use crate::descriptors::DescriptorWarning;
+use crate::endpoint::StreamLimits;
 use crate::medium::{MediumActor, PollBudget, transport};
+use crate::medium_timer::MediumTimer;
 use crate::reopen_backoff::ReopenBackoff;
 use crate::upstream::Upstream;
 use actix::Context;
@@ -44,13 +46,12 @@ use blastema_core::GatherBuffer;
 use blastema_core::medium::lane::FrameLane;
 use std::collections::{BTreeSet, VecDeque};
 use std::fmt::Debug;
-use std::future::Future;
+use std::hash::Hash;
 use std::io;
 use std::pin::Pin;
 use std::task::{self, Poll};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite};
-use tokio::time::Sleep;
 
 /// So many connections the kernel holds until we take them.
 pub(crate) const BACKLOG: i32 = 128;
@@ -75,12 +76,9 @@ pub trait StreamFamily: 'static {
     /// What takes connections.
     type Listener;
     /// Where a peer listens.
-    type Address: Clone + Debug + Ord + Into<MediumAddress>;
+    type Address: Clone + Debug + Hash + Ord + Into<MediumAddress>;
     /// What is known of where a connection comes from.
     type Origin: Debug;
-
-    /// How much is held.
-    fn limits(&self) -> &StreamLimits;
 
     /// Opens our own address; an error says what the user may do.
     fn listen(&mut self) -> Result<(Self::Listener, Self::Address), String>;
@@ -109,42 +107,6 @@ pub trait StreamFamily: 'static {
 
     /// The address as this family has it.
     fn address(address: MediumAddress) -> Option<Self::Address>;
-
-    /// A number that differs between peers, so that they do not come back as one.
-    fn seed(address: &Self::Address) -> u64;
-}
-
-/// How much a transport of connections holds, and how long it waits for peers.
-#[derive(Clone, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct StreamLimits {
-    /// The largest frame, in bytes. Larger frames keep others waiting longer behind them, and raise
-    /// what each connection may hold.
-    pub mtu: usize,
-    /// How many peers have a place; beyond, they are refused.
-    pub peers: usize,
-    /// How many connections may be open on which the peer has not said who it is or, with keys, has
-    /// not proven it.
-    pub strangers: usize,
-    /// How many bytes wait for each peer; beyond, frames are dropped.
-    pub queue_bytes: usize,
-    /// How long making a connection may take.
-    pub connect_timeout: Duration,
-    /// How long a stranger may say nothing and, with keys, then take to prove who it is.
-    pub hello_timeout: Duration,
-}
-
-impl Default for StreamLimits {
-    fn default() -> Self {
-        StreamLimits {
-            mtu: 64 * 1024,
-            peers: 64,
-            strangers: 32,
-            queue_bytes: 1 << 20,
-            connect_timeout: Duration::from_secs(1),
-            hello_timeout: Duration::from_secs(2),
-        }
-    }
 }
 
 /// All connections of one transport.
@@ -169,13 +131,13 @@ pub struct Streams<F: StreamFamily> {
 struct Listener<F: StreamFamily> {
     socket: F::Listener,
     local: F::Address,
-    pause: Option<Pin<Box<Sleep>>>,
+    pause: MediumTimer,
 }
 
 impl<F: StreamFamily> Streams<F> {
-    pub(crate) fn over(family: F) -> Self {
+    pub(crate) fn over(family: F, limits: StreamLimits) -> Self {
         Streams {
-            limits: family.limits().clone(),
+            limits,
             family,
             upstream: Upstream::default(),
             reopening: ReopenBackoff::default(),
@@ -193,7 +155,8 @@ impl<F: StreamFamily> Streams<F> {
         match self.family.listen() {
             Ok((socket, local)) => {
                 self.reopening.reset();
-                self.listener = Some(Listener { socket, local: local.clone(), pause: None });
+                let pause = MediumTimer::default();
+                self.listener = Some(Listener { socket, local: local.clone(), pause });
                 let (local, mtu, is_probed) = (local.into(), self.limits.mtu, false);
                 self.upstream.announce(TransportReport::Opened { local, mtu, is_probed });
             }
@@ -207,11 +170,8 @@ impl<F: StreamFamily> Streams<F> {
     /// Takes new connections; each is a stranger at first.
     fn accept(&mut self, task: &mut task::Context<'_>) {
         let Some(Listener { socket, local, pause }) = &mut self.listener else { return };
-        if let Some(sleep) = pause {
-            if sleep.as_mut().poll(task).is_pending() {
-                return;
-            }
-            *pause = None;
+        if pause.poll(task).is_pending() {
+            return;
         }
         for _ in 0..ACCEPTS {
             match F::poll_accept(socket, task) {
@@ -230,7 +190,7 @@ impl<F: StreamFamily> Streams<F> {
                     let local: MediumAddress = local.clone().into();
                     let what = format_args!("no connection to {local} can be accepted");
                     self.descriptors.warn(what, &error, task);
-                    *pause = Some(Box::pin(tokio::time::sleep(ACCEPT_PAUSE)));
+                    *pause = MediumTimer::after(ACCEPT_PAUSE);
                     break;
                 }
                 Poll::Pending => return,

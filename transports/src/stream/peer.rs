@@ -4,14 +4,13 @@ use super::connection::{Connection, DisconnectReason, ReadEnd, ReadStep};
 use super::outgoing::StreamSendQueue;
 use super::{HandshakeFuture, StreamFamily};
 use crate::medium::PollBudget;
+use crate::medium_timer::MediumTimer;
 use crate::upstream::Upstream;
 use blastema_core::recovery::Backoff;
-use std::future::Future;
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::io;
-use std::pin::Pin;
 use std::task::{self, Poll};
 use std::time::Duration;
-use tokio::time::Sleep;
 
 /// The limit is how late a peer that is back, and does not dial us itself, may be noticed. With
 /// jitter, so that many who lost the same peer do not come back as one.
@@ -45,7 +44,7 @@ pub(super) enum ConnectionState<S> {
     /// The connection is open and carries frames.
     Connected(Connection<S>),
     /// It failed or broke a moment ago; frames are dropped.
-    Backoff(Pin<Box<Sleep>>),
+    Backoff(MediumTimer),
 }
 
 impl<F: StreamFamily> StreamPeer<F> {
@@ -93,9 +92,11 @@ impl<F: StreamFamily> StreamPeer<F> {
     /// is how many frames are lost with it.
     pub(super) fn rest(&mut self) -> u64 {
         self.failures = self.failures.saturating_add(1);
-        let seed = F::seed(&self.address);
-        let pause = BACKOFF.delay(self.failures.saturating_add(1), seed);
-        self.state = ConnectionState::Backoff(Box::pin(tokio::time::sleep(pause)));
+        // It differs between peers.
+        let mut seed = DefaultHasher::new();
+        self.address.hash(&mut seed);
+        let pause = BACKOFF.delay(self.failures.saturating_add(1), seed.finish());
+        self.state = ConnectionState::Backoff(MediumTimer::after(pause));
         self.outgoing.clear()
     }
 
@@ -110,7 +111,7 @@ impl<F: StreamFamily> StreamPeer<F> {
                 Poll::Pending => Ok(()),
             },
             ConnectionState::Backoff(pause) => {
-                if pause.as_mut().poll(task).is_ready() {
+                if pause.poll(task).is_ready() {
                     self.state = ConnectionState::Absent;
                 }
                 Ok(())

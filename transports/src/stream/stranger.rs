@@ -6,7 +6,6 @@ use super::{HandshakeFuture, StreamFamily};
 use crate::medium::PollBudget;
 use crate::upstream::Upstream;
 use blastema_contract::transport::MediumAddress;
-use std::future::Future;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task;

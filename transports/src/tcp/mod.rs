@@ -5,7 +5,8 @@
 
 mod handshake;
 
-pub use crate::stream::{StreamLimits, framing};
+pub use crate::endpoint::{StreamLimits, TcpConfig};
+pub use crate::stream::framing;
 
 use self::handshake::{dial, greet, introduce};
 use crate::bound_address::{BoundAddress, confine, explain};
@@ -13,45 +14,9 @@ use crate::stream::{BACKLOG, HandshakeFuture, StreamFamily, Streams};
 use blastema_contract::transport::MediumAddress;
 use socket2::{Domain, Protocol, Socket, Type};
 use std::io;
-use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::net::{IpAddr, SocketAddr};
 use std::task::{self, Poll};
-use std::time::Duration;
 use tokio::net::{TcpListener, TcpStream};
-
-/// Where a [`Tcp`] listens, and how much it holds.
-///
-/// ```
-/// use blastema_transports::TcpConfig;
-/// let mut config = TcpConfig::default();
-/// config.bind = "127.0.0.1:7400".parse()?;
-/// # Ok::<(), std::net::AddrParseError>(())
-/// ```
-#[derive(Clone, Debug)]
-#[non_exhaustive]
-pub struct TcpConfig {
-    /// Our own address; port 0 takes a free one. The default is loopback: no node outside this
-    /// machine can connect to a node that does not say otherwise.
-    pub bind: SocketAddr,
-    /// Only over this interface of the system, such as `eth0`. `None` leaves the choice to the
-    /// system's routes.
-    pub interface: Option<String>,
-    /// How much it holds, and how long it waits for peers.
-    pub limits: StreamLimits,
-    /// How long sent bytes may stay unconfirmed until the kernel gives the connection up
-    /// (`TCP_USER_TIMEOUT`, RFC 5482; its own patience is a quarter of an hour).
-    pub user_timeout: Duration,
-}
-
-impl Default for TcpConfig {
-    fn default() -> Self {
-        TcpConfig {
-            bind: (Ipv4Addr::LOCALHOST, 0).into(),
-            interface: None,
-            limits: StreamLimits::default(),
-            user_timeout: Duration::from_millis(500),
-        }
-    }
-}
 
 /// TCP connections as a transport.
 ///
@@ -61,7 +26,8 @@ pub type Tcp = Streams<OverIp>;
 impl Tcp {
     /// A transport that opens when it is started.
     pub fn new(config: TcpConfig) -> Self {
-        Streams::over(OverIp { binding: BoundAddress::new(config.bind), config })
+        let limits = config.limits.clone();
+        Streams::over(OverIp { binding: BoundAddress::new(config.bind), config }, limits)
     }
 }
 
@@ -76,10 +42,6 @@ impl StreamFamily for OverIp {
     type Listener = TcpListener;
     type Address = SocketAddr;
     type Origin = IpAddr;
-
-    fn limits(&self) -> &StreamLimits {
-        &self.config.limits
-    }
 
     fn listen(&mut self) -> Result<(TcpListener, SocketAddr), String> {
         let address = self.binding.next_attempt();
@@ -127,10 +89,6 @@ impl StreamFamily for OverIp {
             MediumAddress::Ip(address) => Some(address),
             _ => None,
         }
-    }
-
-    fn seed(address: &SocketAddr) -> u64 {
-        address.port().into()
     }
 }
 

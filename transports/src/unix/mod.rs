@@ -10,19 +10,17 @@
 //!   removed.
 //! * **A peer that dies** is noticed at once, for the system closes its connections.
 
-mod config;
 mod socket;
 pub mod users;
 
-pub use self::config::UnixConfig;
 pub use self::socket::{PathListener, explain};
 pub use self::users::{AllowedUsers, PeerRole};
-pub use crate::stream::{StreamLimits, framing};
+pub use crate::endpoint::{StreamLimits, UnixConfig};
+pub use crate::stream::framing;
 
 use self::socket::{dial, greet, introduce};
 use crate::stream::{HandshakeFuture, StreamFamily, Streams};
 use blastema_contract::transport::MediumAddress;
-use std::hash::{DefaultHasher, Hash, Hasher};
 use std::io;
 use std::path::Path;
 use std::sync::Arc;
@@ -37,8 +35,8 @@ pub type Unix = Streams<OverPaths>;
 impl Unix {
     /// A transport that opens when it is started.
     pub fn new(config: UnixConfig) -> Self {
-        let users = AllowedUsers::new(&config.users);
-        Streams::over(OverPaths { config, users })
+        let (users, limits) = (AllowedUsers::new(&config.users), config.limits.clone());
+        Streams::over(OverPaths { config, users }, limits)
     }
 }
 
@@ -54,10 +52,6 @@ impl StreamFamily for OverPaths {
     type Address = Arc<Path>;
     /// A peer that connects has no address of its own.
     type Origin = ();
-
-    fn limits(&self) -> &StreamLimits {
-        &self.config.limits
-    }
 
     fn listen(&mut self) -> Result<(PathListener, Arc<Path>), String> {
         let path: Arc<Path> = self.config.path.as_path().into();
@@ -101,11 +95,5 @@ impl StreamFamily for OverPaths {
             MediumAddress::Unix(path) => Some(path),
             _ => None,
         }
-    }
-
-    fn seed(address: &Arc<Path>) -> u64 {
-        let mut hasher = DefaultHasher::new();
-        address.hash(&mut hasher);
-        hasher.finish()
     }
 }

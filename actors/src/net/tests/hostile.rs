@@ -219,7 +219,7 @@ fn what_is_refused_in_passing_is_no_fault() {
 }
 
 /// Sends so much garbage in each of these seconds to `left`'s end of network `a`.
-async fn garbage(sender: &Addr<Memory>, seconds: &[usize]) {
+async fn garbage(sender: &Addr<FrameTransport>, seconds: &[usize]) {
     let to = MediumAddress::Memory("a/left".into());
     for count in seconds {
         for _ in 0..*count {
@@ -236,7 +236,8 @@ fn lasting_garbage_from_a_neighbours_address_is_a_fault_of_the_links_and_passing
         let mut robot = Robot::default();
         let left = robot.module("left", 1, &[("a", &["right"])]).await;
 
-        let sender = Memory::new(&robot.medium, "a/right").start();
+        let sender = FrameTransport::new(Memory::new(&robot.medium, "a/right")).start();
+        settle().await;
 
         garbage(&sender, &[1000, 1000, 0, 1000, 40, 40]).await;
         assert_eq!(left.declared.drain(), []);
@@ -264,7 +265,8 @@ fn lasting_garbage_from_strangers_is_a_fault_of_the_links() {
         let mut robot = Robot::default();
         let left = robot.module("left", 1, &[("a", &["right"])]).await;
 
-        let sender = Memory::new(&robot.medium, "a/stranger").start();
+        let sender = FrameTransport::new(Memory::new(&robot.medium, "a/stranger")).start();
+        settle().await;
 
         garbage(&sender, &[100, 100, 100, 100]).await;
 

@@ -2,7 +2,6 @@
 
 use super::{Discovered, Medium, Network};
 use crate::node::error::StartError;
-#[cfg(feature = "ip")]
 use blastema_transports::{Endpoint, UdpConfig};
 use std::net::SocketAddr;
 
@@ -18,11 +17,9 @@ impl Network {
     pub(super) fn beacon_socket(&self) -> Result<Option<Beacons>, StartError> {
         let Some(Discovered { group, .. }) = &self.discovery else { return Ok(None) };
         let wrong = |what| Err(StartError::Network(format!("network {}: {what}", self.name)));
-        #[cfg(feature = "ip")]
         if let Medium::At(Endpoint::Udp(UdpConfig { group: Some(_), .. })) = &self.medium {
             return wrong("it has a multicast group of its own: leave the beacons out".to_owned());
         }
-        #[cfg(feature = "ip")]
         if let Some((interface, bind)) = self.medium.socket() {
             let endpoint = format!("udp://{group}").parse();
             if let Endpoint::Udp(mut socket) =

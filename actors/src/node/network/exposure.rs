@@ -110,9 +110,7 @@ impl Network {
             #[cfg(feature = "serial")]
             Medium::At(Endpoint::Serial(_)) => (SealProfile::Full, false),
             // A stream's other end is where it was when it connected.
-            #[cfg(feature = "ip")]
             Medium::At(Endpoint::Tcp(_)) => (SealProfile::Full, false),
-            #[cfg(feature = "unix")]
             Medium::At(Endpoint::Unix(_)) => (SealProfile::Full, false),
             _ => (SealProfile::Full, true),
         };
@@ -122,11 +120,8 @@ impl Network {
     /// The largest frame that the user has set; `None` where the medium chooses it.
     pub(super) fn set_mtu(&self) -> Option<usize> {
         match &self.medium {
-            #[cfg(feature = "ip")]
             Medium::At(Endpoint::Udp(config)) => config.mtu,
-            #[cfg(feature = "ip")]
             Medium::At(Endpoint::Tcp(config)) => Some(config.limits.mtu),
-            #[cfg(feature = "unix")]
             Medium::At(Endpoint::Unix(config)) => Some(config.limits.mtu),
             #[cfg(feature = "serial")]
             Medium::At(Endpoint::Serial(config)) => config.mtu,

@@ -14,12 +14,11 @@ use blastema_contract::transport::{MediumAddress, Transport};
 use blastema_core::net::discovery::DiscoveryAdmission;
 use blastema_core::sorted::SortedSet;
 use blastema_core::{NodeName, ObjectName};
-#[cfg(any(feature = "serial", feature = "slcan", all(feature = "can", target_os = "linux")))]
-use blastema_transports::FrameTransport;
 #[cfg(feature = "unix")]
 use blastema_transports::Unix;
 use blastema_transports::{
-    Endpoint, EndpointError, FaultInjector, FaultInjectorConfig, Memory, MemoryMedium,
+    Endpoint, EndpointError, FaultInjector, FaultInjectorConfig, FrameTransport, Memory,
+    MemoryMedium,
 };
 #[cfg(feature = "ip")]
 use blastema_transports::{Tcp, Udp};
@@ -81,7 +80,9 @@ impl Medium {
             Medium::At(Endpoint::Slcan(config)) => place.start(|| {
                 FrameTransport::new(blastema_transports::SlcanBus::new(config, platform::now))
             }),
-            Medium::At(Endpoint::Memory(end)) => place.start(move || Memory::new(&memory, &end)),
+            Medium::At(Endpoint::Memory(end)) => {
+                place.start(move || FrameTransport::new(Memory::new(&memory, &end)))
+            }
             Medium::At(other) => {
                 let text = format!(
                     "network {network}: this program has no {}: it was built without it, or this \

@@ -36,7 +36,7 @@ impl Medium for OverMemory {
                 format!("end {}", self.1.get()).into()
             }
         };
-        let (address, panic) = start(Memory::new(&self.0, &name));
+        let (address, panic) = start(FrameTransport::new(Memory::new(&self.0, &name)));
         Opened { transport: address.into(), wrapper: None, panic }
     }
 
