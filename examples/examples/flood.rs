@@ -1,6 +1,6 @@
 //! A flooded component: its queue is bounded, its policy says what gives way, what was lost is
 //! counted, and the commands of the framework still get through.
-#![allow(clippy::print_stdout, reason = "an example shows what happens")]
+#![allow(clippy::print_stdout, clippy::disallowed_methods, reason = "it shows what happens")]
 
 use blastema::DeadReason;
 use blastema::prelude::*;

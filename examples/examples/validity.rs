@@ -1,7 +1,7 @@
 //! Data that is too old, or wrong: an event says how old it may become, and a component checks what
 //! it is given at fixed points. A failed check is a fault: it is told and goes into the record, and
 //! what is done about it is for the application to say.
-#![allow(clippy::print_stdout, reason = "an example shows what happens")]
+#![allow(clippy::print_stdout, clippy::disallowed_methods, reason = "it shows what happens")]
 
 use blastema::prelude::*;
 use blastema::{DeadReason, FaultTransition, Range};
