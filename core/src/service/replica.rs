@@ -1,5 +1,5 @@
 //! One replica of a service.
-#![expect(clippy::wildcard_imports, reason = "its files are parts of the replica")]
+#![allow(clippy::wildcard_imports, reason = "its files are parts of the replica")]
 
 mod agreement;
 mod outage;
