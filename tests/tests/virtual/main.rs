@@ -5,7 +5,6 @@
 mod architecture;
 mod leaving;
 mod manual;
-mod message_log;
 mod ports;
 mod readme;
 mod robot_file;
