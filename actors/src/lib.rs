@@ -93,6 +93,7 @@
 //!
 //! The default is all media, `device` and `process`. A robot of one process needs none of it. The
 //! ciphers of networks (`ring`) and `journal` need a C compiler.
+#![cfg_attr(test, allow(clippy::disallowed_methods, reason = "tests make queues and wait"))]
 
 // The derives write `::blastema`, also where they are used within it.
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! Access to the operating system: the only file that reads a clock, starts threads and knows
 //! processes.
+#![expect(clippy::disallowed_methods, reason = "the clock is read here")]
 
 pub(crate) mod alarm;
 pub(crate) mod errors;

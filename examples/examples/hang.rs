@@ -1,7 +1,7 @@
 //! A handler that does not return keeps its thread, and a thread cannot be killed. So the culprit
 //! is named and fenced off, its next incarnation begins on another thread, and its neighbours,
 //! which stood still behind it, move there too, with what waits in their queues.
-#![allow(clippy::print_stdout, reason = "an example shows what happens")]
+#![allow(clippy::print_stdout, clippy::disallowed_methods, reason = "it shows what happens")]
 
 use blastema::FaultTransition;
 use blastema::prelude::*;

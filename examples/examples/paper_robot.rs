@@ -5,6 +5,7 @@
 //! source's Listing 1 does; times go to standard error. With arguments it is a robot's program like
 //! any other: `paper_robot run examples/robots/paper.robot.xml`.
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "an example shows what happens")]
+#![allow(clippy::disallowed_methods, reason = "it has no runtime of its own")]
 
 use blastema::prelude::*;
 use blastema::{ActuatorSpec, Commander};

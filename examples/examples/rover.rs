@@ -7,7 +7,7 @@
 //! radio, and prints what the rover does: first with `robots/rover.tree.xml`, then with the tree of
 //! the source as it is. With arguments it is a robot's program like any other: `rover run
 //! examples/robots/rover.robot.xml`.
-#![allow(clippy::print_stdout, reason = "an example shows what happens")]
+#![allow(clippy::print_stdout, clippy::disallowed_methods, reason = "it shows what happens")]
 
 use blastema::prelude::*;
 use blastema::trees::{LeafResult, LeafTask, Status, TreeLeaves};

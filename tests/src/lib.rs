@@ -4,7 +4,10 @@ mod log;
 mod parts;
 
 pub use log::{LogLine, LogLines};
-pub use parts::{Act, Notes, Part, State, accepts, listens, moves, on_ethernet, part, serves};
+pub use parts::{
+    Act, Notes, Part, State, accepts, listens, meshed, moves, on_ethernet, part, plug_cable,
+    pull_cable, serves,
+};
 
 use blastema::core::NodeName;
 use blastema::core::net::trust::crypto::Seed;

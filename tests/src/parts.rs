@@ -1,10 +1,12 @@
 //! Components that a test needs for one thing only.
 
+use crate::MS;
 use blastema::{
-    ActuatorSpec, ChildSpec, Component, Context, Contract, Event, Handle, Link, MemoryMedium,
-    Network, Node, NodeBuilder, Request,
+    ActuatorSpec, ChildSpec, Component, Context, Contract, Direction, Event, Handle, Link,
+    MemoryMedium, Network, Node, NodeBuilder, Request,
 };
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 /// What a [`Part`] may keep.
 pub trait State: Clone + Send + Sync + 'static {}
@@ -142,6 +144,30 @@ impl<T: Clone> Notes<T> {
 /// A node on the network `ethernet` of this medium, with a link to another one and a cable that a
 /// test can cut.
 pub fn on_ethernet(own: &str, far: &str, medium: &MemoryMedium) -> NodeBuilder {
-    let network = Network::memory("ethernet", medium, own).link(Link::to(far, far));
+    meshed(own, &[far], medium, 50 * MS)
+}
+
+/// The same with a link to each of these nodes but itself, and hellos so often.
+pub fn meshed(own: &str, all: &[&str], medium: &MemoryMedium, hello: Duration) -> NodeBuilder {
+    let mut network = Network::memory("ethernet", medium, own);
+    for far in all.iter().filter(|far| **far != own) {
+        network = network.link(Link::to(far, far).hello_every(hello));
+    }
     Node::builder(own).network(network.with_faults(7))
+}
+
+/// Pulls the cable of this node from its network `ethernet`.
+///
+/// # Panics
+/// It has no such cable.
+pub fn pull_cable(node: &Node) {
+    node.cable("ethernet").expect("a cable").cut(Direction::Both, false);
+}
+
+/// Plugs it in again.
+///
+/// # Panics
+/// It has no such cable.
+pub fn plug_cable(node: &Node) {
+    node.cable("ethernet").expect("a cable").restore();
 }

@@ -6,6 +6,7 @@
 //! `blastema component` their components. `blastema check`, `graph` and `run` start the program of
 //! a robot file, and `blastema new` writes a robot. Exit status: 0 it was done, 1 only a part of
 //! it, 2 it could not be done.
+#![allow(clippy::disallowed_methods, reason = "a program measures and waits for nodes")]
 
 mod args;
 mod device;

@@ -20,12 +20,12 @@ use blastema_core::detection::hang::{
 use blastema_core::detection::{CurrentHandler, MonitorRow, QueueSample, RoundLateness};
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{FaultLocation, Incarnation, Instant, Machine, NodeName, ObjectName};
+use std::io;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex, Weak};
 use std::thread::JoinHandle;
 use std::time::Duration;
-use std::{io, thread};
 
 /// How often heartbeats are sampled: as often as they beat.
 const HEARTBEATS: Duration = crate::arbiter::heartbeat::HEARTBEAT_INTERVAL;
@@ -283,7 +283,7 @@ pub(crate) fn start(
     if on_thread {
         let thread = platform::start_thread("watch", move || {
             while !stop.load(Relaxed) {
-                thread::sleep(HEARTBEATS);
+                platform::wait(HEARTBEATS);
                 sampler.sample(platform::now());
             }
         })?;

@@ -201,7 +201,7 @@ impl News {
     fn wait(&self) {
         match &self.0 {
             Some(socket) => wait(socket),
-            None => std::thread::sleep(POLL_INTERVAL),
+            None => platform::wait(POLL_INTERVAL),
         }
     }
 }

@@ -3,13 +3,13 @@
 //! The file is written before the node sends its first frame. Where it cannot be, or holds no
 //! number, the wall clock alone numbers the incarnation, and the log says what to do.
 
+use crate::platform;
 use crate::platform::file_lock::{FileLock, LockError};
 use crate::platform::key_files::read_public;
 use crate::platform::replace_file::replace_file;
 use blastema_core::net::trust::incarnation_file::{IncarnationFile, following};
 use blastema_core::{Incarnation, NodeName};
 use std::path::Path;
-use std::thread;
 use std::time::Duration;
 use tracing::warn;
 
@@ -58,7 +58,7 @@ fn lock(file: &Path, node: &NodeName) -> Result<FileLock, String> {
             Err(LockError::InUse { .. }) if attempts < ATTEMPTS => attempts += 1,
             acquired => return acquired.map_err(|error| error.to_string()),
         }
-        thread::sleep(PAUSE);
+        platform::wait(PAUSE);
     }
 }
 
@@ -77,7 +77,7 @@ fn read(file: &Path, node: &NodeName) -> Result<Option<Incarnation>, String> {
 mod tests {
     use super::*;
     use blastema_core::sorted::SortedSet;
-    use std::fs;
+    use std::{fs, thread};
 
     const NOON: Incarnation = Incarnation(1_795_500_000_000);
     const DAY: u64 = 24 * 60 * 60 * 1000;

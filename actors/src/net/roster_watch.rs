@@ -80,7 +80,7 @@ fn watch(
         let Some(keys) = newer else { return };
         announce.do_send(RosterFound(keys.clone()));
         if !known.missing_in(&keys).is_empty() {
-            std::thread::sleep(FAREWELL);
+            platform::wait(FAREWELL);
         }
         told.iter().for_each(|to| to.do_send(RosterChanged(keys.clone())));
         known = keys;

@@ -28,6 +28,8 @@
 //! });
 //! ```
 
+#![allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "doubles run tests")]
+
 mod fake_crypto;
 mod mock_transport;
 mod paused;

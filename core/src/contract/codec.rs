@@ -8,6 +8,7 @@
 //! Bytes are never trusted. A message has a size limit; what it claims to hold is held against that
 //! limit before memory is taken; bytes after its end are refused; structures within structures are
 //! followed to a depth of [`DEPTH_LIMIT`](crate::contract::field::DEPTH_LIMIT).
+#![expect(clippy::disallowed_methods, reason = "the one file that knows bincode")]
 
 use crate::Contract;
 use crate::contract::blob::{given, sharing};

@@ -1,4 +1,5 @@
 //! One replica of a service.
+#![allow(clippy::wildcard_imports, reason = "its files are parts of the replica")]
 
 mod agreement;
 mod outage;

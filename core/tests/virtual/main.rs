@@ -1,5 +1,7 @@
 //! Tests of the core in virtual time, or of functions and machines alone: for each, one run is as
 //! good as a hundred, so that a failure shuts the gate.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+#![allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "as a test may")]
 
 mod claims_at_scale;
 mod codec;

@@ -3,6 +3,7 @@
 //!
 //! `tests/beds/run` starts it with the rights and tools that it needs. It is both the one who
 //! breaks the cables and, in processes of their own, the nodes whose cables are broken.
+#![allow(clippy::disallowed_methods, reason = "real cables are pulled for a while")]
 #![allow(clippy::print_stdout, reason = "what happens is what this program is for")]
 
 mod bed;

@@ -1,5 +1,6 @@
 //! Tests of whole robots on real threads, with real processes, sockets or clocks. They take turns,
 //! wait for events with a generous bound, and judge counts and order, never a duration.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
 mod actix_facts;
 mod books;

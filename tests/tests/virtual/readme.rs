@@ -25,40 +25,37 @@ fn code_of(path: &str) -> String {
     lines.join("\n")
 }
 
-#[track_caller]
-fn assert_same(shown: &str, runs: &str, cure: &str) {
-    let differs = shown.lines().zip(runs.lines()).find(|(left, right)| left != right);
-    assert!(shown == runs, "they differ, first at {differs:?}\nWhat to do: {cure}");
-}
-
 #[test]
-fn the_program_of_the_readme_is_the_example_hello() {
-    assert_same(
-        &shown("README.md", "## A program", "```rust\n"),
-        &code_of("examples/examples/hello.rs"),
-        "copy the code of examples/examples/hello.rs, from its first `use` on, into README.md below \
-         \"A program\"",
-    );
-}
-
-#[test]
-fn the_test_of_a_component_is_one_of_the_test_kit() {
-    assert_same(
-        &shown("actors/src/manual/testing.md", "## One component", "```text\n"),
-        &code_of("actors/testkit/tests/virtual/component.rs"),
-        "copy the code of actors/testkit/tests/virtual/component.rs, from its first `use` on, into \
-         actors/src/manual/testing.md below \"One component\"",
-    );
-}
-
-#[test]
-fn the_test_of_the_manual_is_one_of_the_test_kit() {
-    assert_same(
-        &shown("actors/src/manual/testing.md", "# Testing", "```text\n"),
-        &code_of("actors/testkit/tests/virtual/manual.rs"),
-        "copy the code of actors/testkit/tests/virtual/manual.rs, from its first `use` on, into \
-         actors/src/manual/testing.md",
-    );
+fn each_program_that_a_page_shows_is_the_code_of_a_file() {
+    let facade = file("actors/src/lib.rs");
+    let docs = facade.lines().filter_map(|line| line.strip_prefix("//!"));
+    let docs: Vec<&str> = docs.map(|line| line.strip_prefix(' ').unwrap_or(line)).collect();
+    let docs = docs.join("\n");
+    let facade = docs.split("\n```\n").nth(1).expect("a program").to_owned();
+    let readme = shown("README.md", "## A program", "```rust\n");
+    let testing = "actors/src/manual/testing.md";
+    for (page, program, source) in [
+        ("README.md", readme, "examples/examples/hello.rs"),
+        ("actors/src/lib.rs", facade, "examples/examples/hello.rs"),
+        (
+            testing,
+            shown(testing, "## One component", "```text\n"),
+            "actors/testkit/tests/virtual/component.rs",
+        ),
+        (
+            testing,
+            shown(testing, "# Testing", "```text\n"),
+            "actors/testkit/tests/virtual/manual.rs",
+        ),
+    ] {
+        let code = code_of(source);
+        let differs = program.lines().zip(code.lines()).find(|(left, right)| left != right);
+        assert!(
+            program == code,
+            "they differ, first at {differs:?}\nWhat to do: copy the code of {source}, from its \
+             first `use` on, into {page}"
+        );
+    }
 }
 
 #[test]
@@ -76,23 +73,4 @@ fn every_example_is_in_the_table_of_the_readme_and_run_by_a_test() {
             "examples/tests/real/examples.rs has no test {run}..: add one"
         );
     }
-}
-
-#[test]
-fn the_documentation_of_the_facade_begins_with_the_same_program() {
-    let facade = file("actors/src/lib.rs");
-    let docs: Vec<&str> = facade
-        .lines()
-        .filter_map(|line| line.strip_prefix("//!"))
-        .map(|line| line.strip_prefix(' ').unwrap_or(line))
-        .collect();
-    let docs = docs.join("\n");
-    let program =
-        docs.split("\n```\n").nth(1).expect("a program in the documentation of the facade");
-    assert_same(
-        program,
-        &code_of("examples/examples/hello.rs"),
-        "copy the code of examples/examples/hello.rs, from its first `use` on, into the documentation of \
-         actors/src/lib.rs",
-    );
 }

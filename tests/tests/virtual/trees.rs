@@ -7,10 +7,10 @@ use blastema::trees::{
 };
 use blastema::{FaultStatus, Lifecycle};
 use blastema_testkit::{Probe, TestNode, owner};
-use std::sync::{Arc, Mutex};
+use blastema_tests::{MS, Notes};
+use std::sync::Arc;
 use std::time::Duration;
 
-const MS: Duration = Duration::from_millis(1);
 const SECOND: Duration = Duration::from_secs(1);
 
 /// The tree of the source, word for word, in the `root` that each file has.
@@ -31,18 +31,7 @@ timeout_sec="3.0"/>
 </root>"#;
 
 /// What leaves did, in order.
-#[derive(Clone, Default)]
-struct Log(Arc<Mutex<Vec<String>>>);
-
-impl Log {
-    fn note(&self, text: impl Into<String>) {
-        self.0.lock().unwrap().push(text.into());
-    }
-
-    fn take(&self) -> Vec<String> {
-        std::mem::take(&mut self.0.lock().unwrap())
-    }
-}
+type Log = Notes<String>;
 
 /// Notes the end of a leaf's future.
 struct Noted(Log, &'static str);

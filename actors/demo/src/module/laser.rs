@@ -44,6 +44,7 @@ impl Laser {
     }
 }
 
+#[expect(clippy::disallowed_methods, reason = "it is to hang")]
 impl Handle<Break> for Laser {
     async fn handle(&mut self, _: Break, _: &mut Context<Self>) {
         std::thread::sleep(HANG);

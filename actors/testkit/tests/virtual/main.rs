@@ -1,5 +1,6 @@
 //! Tests of the doubles for users in virtual time, or of functions and machines alone: for each,
 //! one run is as good as a hundred, so that a failure shuts the gate.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
 mod component;
 mod faults;

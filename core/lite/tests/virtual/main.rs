@@ -4,6 +4,8 @@
 //! `BLASTEMA_LONG=1` compiles the C side with sanitizers and makes the trials as long as a night
 //! allows.
 
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+#![allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "as a test may")]
 #![allow(clippy::print_stdout, reason = "the trials report their figures")]
 
 mod alike;

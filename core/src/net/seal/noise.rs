@@ -10,6 +10,7 @@
 //! each frame into a second buffer and has no key for tags alone (see `compact`). Nonces have the
 //! layout that the Noise specification gives them (section 12), so the frames are those of a Noise
 //! transport.
+#![expect(clippy::disallowed_types, reason = "the one file that knows the handshake's crates")]
 
 use super::cipher::{
     ChannelKeys, CipherSuite, FrameCipher, HandshakeTerms, NOISE_MESSAGE, PAYLOAD, PUBLIC_KEY,

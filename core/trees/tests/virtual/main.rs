@@ -1,4 +1,6 @@
 //! The crate's tests, in virtual time: files go in, and ticks, calls and errors come out.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+#![allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "as a test may")]
 
 mod allocations;
 mod boards;

@@ -1,7 +1,8 @@
 //! Rules about which folder imports from which, within a package.
 
-use crate::architecture::tree::{Breach, Source, Tree};
-use std::collections::{BTreeMap, BTreeSet};
+use crate::architecture::tree::{Breach, PRODUCT, Source, Token, Tree};
+use std::collections::BTreeMap;
+use std::iter::Peekable;
 
 /// The layers of `actors`, bottom up, and what each may import.
 const LAYERS: &[(&str, &str)] = &[
@@ -44,32 +45,82 @@ const TOP: &str = "node";
 /// What every layer may name: the atomics, the table of settings, and the pages of the manual.
 const EVERYWHERE: &[&str] = &["sync", "settings", "manual"];
 
-/// The folders whose files may import each other in a circle, and why.
-const CIRCLES: &[(&str, &str)] = &[
-    (
-        "actors/src/component",
-        "`Component` names its `Context`, which names the cell, which names envelopes",
-    ),
-    (
-        "actors/src/trees",
-        "a leaf's task names the context of its tree's component, which names the leaves",
-    ),
-    ("core/src/service", "the next edition of services replaces it"),
-];
-
-/// The sources of the packages whose folders are layered.
-const ROOTS: &[&str] = &[
-    "core/src",
-    "core/trees/src",
-    "core/lite/src",
-    "core/contract/src",
-    "transports/src",
-    "actors/src",
-    "actors/cli/src",
-    "actors/demo/src",
+/// The folders whose files may import each other in a circle.
+const CIRCLES: [&str; 3] = [
+    // `Component` names its `Context`, which names the cell, which names envelopes.
+    "actors/src/component",
+    // A leaf's task names the context of its tree's component, which names the leaves.
+    "actors/src/trees",
+    // The next edition of services replaces it.
+    "core/src/service",
 ];
 
 type Path = Vec<String>;
+
+/// One path of a `use`, or of the code itself, and the name that it gets.
+pub(crate) struct Import {
+    pub(crate) path: Path,
+    pub(crate) name: String,
+    pub(crate) line: usize,
+    /// Whether a `pub` stands before its `use`.
+    exported: bool,
+}
+
+/// The paths that the code imports or begins with `crate` or `super`.
+pub(crate) fn imports_of(code: &[Token]) -> Vec<Import> {
+    let (mut imports, mut tokens) = (Vec::new(), code.iter().peekable());
+    let mut before = "";
+    while let Some(token) = tokens.peek() {
+        let exported = matches!(before, "pub" | ")");
+        before = &token.text;
+        match before {
+            "use" => drop(tokens.next()),
+            "crate" | "super" => {}
+            _ => {
+                tokens.next();
+                continue;
+            }
+        }
+        let found = imports.len();
+        read_path(&mut tokens, Vec::new(), &mut imports);
+        imports[found..].iter_mut().for_each(|import| import.exported = exported);
+    }
+    imports
+}
+
+/// Reads one path, or those of one group.
+fn read_path<'a>(
+    tokens: &mut Peekable<impl Iterator<Item = &'a Token>>,
+    mut path: Path,
+    imports: &mut Vec<Import>,
+) {
+    let mut line = 0;
+    while let Some(token) = tokens.next_if(|token| is_name(&token.text) || token.text == "{") {
+        line = token.line;
+        if token.text == "{" {
+            while tokens.next_if(|token| token.text == "}").is_none() {
+                read_path(tokens, path.clone(), imports);
+                tokens.next_if(|token| token.text == ",");
+            }
+            return;
+        }
+        if token.text != "self" || path.is_empty() {
+            path.push(token.text.clone());
+        }
+        if tokens.next_if(|token| token.text == "::").is_none() {
+            break;
+        }
+    }
+    let mut name = path.last().cloned().unwrap_or_default();
+    if tokens.next_if(|token| token.text == "as").is_some() {
+        name = tokens.next().map(|token| token.text.clone()).unwrap_or_default();
+    }
+    imports.push(Import { path, name, line, exported: false });
+}
+
+fn is_name(text: &str) -> bool {
+    text == "*" || text.starts_with(|c: char| c.is_alphabetic() || c == '_')
+}
 
 /// The modules of one package, and what each of them imports from it.
 struct Modules<'a> {
@@ -81,84 +132,39 @@ struct Modules<'a> {
 
 impl<'a> Modules<'a> {
     fn below(tree: &'a Tree, root: &str) -> Self {
-        let below = |source: &&Source| source.path.starts_with(&format!("{root}/"));
-        let sources: BTreeMap<Path, &Source> = tree
-            .sources
-            .iter()
-            .filter(|source| !source.test)
-            .filter(below)
-            .map(|source| (module_of(&source.path[root.len() + 1..]), source))
-            .collect();
+        let below = |source: &'a Source| {
+            let file = source.path.strip_prefix(root)?.strip_prefix('/')?;
+            (!source.code.is_empty()).then(|| (module_of(file), source))
+        };
+        let sources: BTreeMap<Path, &Source> = tree.sources.iter().filter_map(below).collect();
         let mut modules = Modules { sources, exports: BTreeMap::new(), imports: Vec::new() };
         for (module, source) in modules.sources.clone() {
-            let file = syn::parse_file(&source.text).expect("it was parsed before");
-            modules.read_uses(&module, source, &file.items);
-            modules.read_paths(&module, source);
+            for Import { path, name, line, exported } in imports_of(&source.code) {
+                let Some(path) = modules.absolute(&module, &path) else { continue };
+                if exported {
+                    let name = module.iter().cloned().chain([name]).collect();
+                    modules.exports.insert(name, path.clone());
+                }
+                modules.imports.push((module.clone(), path, line));
+            }
         }
         modules
     }
 
     /// The path from the root of the package, if it lies there.
     fn absolute(&self, module: &Path, path: &[String]) -> Option<Path> {
-        let first = path.first()?.as_str();
         let supers = path.iter().take_while(|segment| *segment == "super").count();
-        let mut base = module.clone();
-        match first {
-            "crate" => return Some(path[1..].to_vec()),
-            "self" => base.extend_from_slice(&path[1..]),
-            "super" => {
-                base.truncate(module.len().checked_sub(supers)?);
-                base.extend_from_slice(&path[supers..]);
-            }
+        let base = match path.first()?.as_str() {
+            "crate" => &[],
+            "self" => &module[..],
+            "super" => &module[..module.len().checked_sub(supers)?],
             child => {
-                base.push(child.to_owned());
-                self.sources.get(&base)?;
-                base.extend_from_slice(&path[1..]);
+                let child = [&module[..], &[child.to_owned()]].concat();
+                self.sources.get(&child)?;
+                return Some([&module[..], path].concat());
             }
-        }
-        Some(base)
-    }
-
-    fn read_uses(&mut self, module: &Path, source: &Source, items: &[syn::Item]) {
-        for item in items {
-            let syn::Item::Use(item) = item else { continue };
-            let line = syn::spanned::Spanned::span(item).start().line;
-            let mut leaves = Vec::new();
-            leaves_of(&item.tree, &mut Vec::new(), &mut leaves);
-            for (path, name) in leaves {
-                let Some(path) = self.absolute(module, &path) else { continue };
-                if !matches!(item.vis, syn::Visibility::Inherited) {
-                    let exported = module.iter().cloned().chain([name]).collect();
-                    self.exports.insert(exported, path.clone());
-                }
-                if !source.is_test(line) {
-                    self.imports.push((module.clone(), path, line));
-                }
-            }
-        }
-    }
-
-    /// Paths that stand in the code itself.
-    fn read_paths(&mut self, module: &Path, source: &Source) {
-        let tokens = &source.tokens;
-        for (at, token) in tokens.iter().enumerate() {
-            let begins = matches!(token.text.as_str(), "crate" | "super");
-            let goes_on = at > 0 && tokens[at - 1].text == "::";
-            if !begins || goes_on || source.is_test(token.line) {
-                continue;
-            }
-            let rest = tokens[at + 1..].chunks(2);
-            let rest = rest.take_while(|pair| pair.len() == 2 && pair[0].text == "::");
-            let rest = rest.map(|pair| pair[1].text.clone());
-            let path: Path = [token.text.clone()].into_iter().chain(rest).collect();
-            let is_word = |text: &String| text.starts_with(|c: char| c.is_alphabetic());
-            let path: Path = path.into_iter().take_while(is_word).collect();
-            if path.len() > 1
-                && let Some(path) = self.absolute(module, &path)
-            {
-                self.imports.push((module.clone(), path, token.line));
-            }
-        }
+        };
+        Some([base, &path[supers.max(1)..]].concat())
     }
 
     /// The module that defines what this path names.
@@ -189,54 +195,26 @@ fn module_of(file: &str) -> Path {
     module
 }
 
-/// The paths of one `use`, and the names that they get.
-fn leaves_of(tree: &syn::UseTree, path: &mut Path, leaves: &mut Vec<(Path, String)>) {
-    let mut leaf = |path: &Path, last: &syn::Ident, name: &syn::Ident| {
-        let mut path = path.clone();
-        if last != "self" {
-            path.push(last.to_string());
-        }
-        let name = if name == "self" { path.last().cloned() } else { Some(name.to_string()) };
-        leaves.push((path, name.unwrap_or_default()));
-    };
-    match tree {
-        syn::UseTree::Path(part) => {
-            path.push(part.ident.to_string());
-            leaves_of(&part.tree, path, leaves);
-            path.pop();
-        }
-        syn::UseTree::Name(name) => leaf(path, &name.ident, &name.ident),
-        syn::UseTree::Rename(name) => leaf(path, &name.ident, &name.rename),
-        syn::UseTree::Glob(_) => leaves.push((path.clone(), "*".into())),
-        syn::UseTree::Group(group) => {
-            group.items.iter().for_each(|tree| leaves_of(tree, path, leaves));
-        }
-    }
-}
-
 /// Each folder of `actors` imports only the layers below it.
 pub(crate) fn layers(tree: &Tree) -> Vec<Breach> {
     let modules = Modules::below(tree, "actors/src");
+    let is_open = |folder: &str| folder == TOP || EVERYWHERE.contains(&folder);
     let mut breaches = Vec::new();
     for (module, path, line) in &modules.imports {
-        let Some(folder) = module.first().filter(|folder| *folder != TOP) else { continue };
-        let defining = modules.defining(path);
-        let mut breach = |what: String| {
-            breaches.push(Breach::new(&modules.sources[module].path, *line, what));
-        };
-        let Some((_, below)) = LAYERS.iter().find(|(layer, _)| layer == folder) else {
-            if !EVERYWHERE.contains(&folder.as_str()) {
-                breach(format!("{folder} is no layer"));
+        let Some(folder) = module.first().filter(|folder| !is_open(folder)) else { continue };
+        let layer = LAYERS.iter().find(|(layer, _)| layer == folder);
+        let what = match (layer, modules.defining(path).first()) {
+            (None, _) => format!("{folder} is no layer"),
+            (Some((_, below)), Some(from))
+                if from != folder
+                    && !below.split(' ').any(|layer| layer == from)
+                    && !EVERYWHERE.contains(&from.as_str()) =>
+            {
+                format!("{folder} imports {}", path.join("::"))
             }
-            continue;
+            _ => continue,
         };
-        if let Some(from) = defining.first()
-            && from != folder
-            && !below.split(' ').any(|layer| layer == from)
-            && !EVERYWHERE.contains(&from.as_str())
-        {
-            breach(format!("{folder} imports {}", path.join("::")));
-        }
+        breaches.push(Breach::new(&modules.sources[module].path, *line, what));
     }
     breaches
 }
@@ -244,57 +222,34 @@ pub(crate) fn layers(tree: &Tree) -> Vec<Breach> {
 /// The files of one folder do not import each other in a circle. `x.rs` and `x/` count as one.
 pub(crate) fn circles(tree: &Tree) -> Vec<Breach> {
     let mut breaches = Vec::new();
-    for root in ROOTS {
+    for root in PRODUCT {
         let modules = Modules::below(tree, root);
-        let mut folders: BTreeMap<Path, Vec<(String, String, &Path, usize)>> = BTreeMap::new();
+        let mut folders: BTreeMap<&[String], Vec<(&str, String, Breach)>> = BTreeMap::new();
         for (module, path, line) in &modules.imports {
             let defining = modules.defining(path);
             let shared = module.iter().zip(&defining).take_while(|(a, b)| a == b).count();
             if let (Some(from), Some(to)) = (module.get(shared), defining.get(shared)) {
-                let edge = (from.clone(), to.clone(), module, *line);
-                folders.entry(module[..shared].to_vec()).or_default().push(edge);
+                let what = format!("{root}: {from} imports {to}, and that leads back to it");
+                let breach = Breach::new(&modules.sources[module].path, *line, what);
+                let edges = folders.entry(&module[..shared]).or_default();
+                edges.push((from, to.clone(), breach));
             }
         }
-        for (folder, edges) in folders {
-            let place = [&[(*root).to_owned()], &folder[..]].concat().join("/");
-            if CIRCLES.iter().any(|(known, _)| place.starts_with(known)) {
+        for (folder, mut edges) in folders {
+            if CIRCLES.contains(&&*[&[root.to_owned()], folder].concat().join("/")) {
                 continue;
             }
-            for (from, to, module, line) in &edges {
-                if reaches(&edges, to, from) {
-                    let source = modules.sources[*module];
-                    let what = format!("{place}: {from} and {to} import each other");
-                    breaches.push(Breach::new(&source.path, *line, what));
-                }
+            // What leads nowhere, or comes from nowhere, is in no circle.
+            let mut before = usize::MAX;
+            while edges.len() < before {
+                before = edges.len();
+                let all = edges.clone();
+                edges.retain(|(from, to, _)| {
+                    all.iter().any(|edge| edge.0 == to) && all.iter().any(|edge| edge.1 == *from)
+                });
             }
+            breaches.extend(edges.into_iter().map(|(.., breach)| breach));
         }
-    }
-    breaches
-}
-
-fn reaches(edges: &[(String, String, &Path, usize)], from: &String, to: &String) -> bool {
-    let mut seen = BTreeSet::from([from]);
-    let mut ahead = vec![from];
-    while let Some(here) = ahead.pop() {
-        if here == to {
-            return true;
-        }
-        let next = edges.iter().filter(|(from, ..)| from == here).map(|(_, to, ..)| to);
-        ahead.extend(next.filter(|to| seen.insert(to)));
-    }
-    false
-}
-
-/// Production code names what it takes from its parent.
-pub(crate) fn globs_of_parents(tree: &Tree) -> Vec<Breach> {
-    let mut breaches = Vec::new();
-    for source in tree.sources.iter().filter(|source| !source.test) {
-        if CIRCLES.iter().any(|(known, _)| source.path.starts_with(known)) {
-            continue;
-        }
-        let lines = source.lines_with("use super :: *").into_iter();
-        let lines = lines.filter(|line| !source.is_test(*line));
-        breaches.extend(lines.map(|line| Breach::new(&source.path, line, "use super::*")));
     }
     breaches
 }

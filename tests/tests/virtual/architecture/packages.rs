@@ -1,9 +1,10 @@
 //! Rules about packages: who may depend on whom, and what every manifest says.
 
-use crate::architecture::tree::{Breach, Manifest, Tree, key};
+use crate::architecture::tree::{Breach, Manifest, Tree};
 
 /// The map of ARCHITECTURE.md as data, from the bottom to the top: each package, what it may depend
-/// on within the workspace, and what beside it in tests.
+/// on within the workspace, and what beside it in tests. Which package may know a crate from
+/// outside is for `deny.toml`.
 const PLACES: [(&str, &str, &str); 18] = [
     ("blastema-macros", "", ""),
     // It runs on a chip, where nothing else of the workspace does.
@@ -50,26 +51,13 @@ const EVERYTHING: &str = "blastema-macros blastema-lite blastema-core blastema-t
      blastema-contract blastema-transports blastema-doubles blastema-ptys blastema blastema-robot \
      blastema-testkit";
 
-/// The crates from outside that the core may use. It stays nearly bare, so that what it decides can
-/// be simulated, and one day run on a microcontroller.
-const CORE_TAKES: [&str; 8] =
-    ["bincode", "bytes", "ring", "serde", "snow", "thiserror", "x25519-dalek", "zeroize"];
-/// The same for behaviour trees.
-const TREES_TAKE: [&str; 3] = ["roxmltree", "strsim", "thiserror"];
-
-/// Crates of which only these packages may know.
-const KNOWN_BY: [(&str, &str); 6] = [
-    // Behind the feature `journal`: not every user has a C compiler.
-    ("rusqlite", "blastema"),
-    ("bincode", "blastema-core"),
-    ("snow", "blastema-core"),
-    ("x25519-dalek", "blastema-core"),
-    (
-        "actix",
-        "blastema-contract blastema-transports blastema-doubles blastema blastema-testkit \
-         blastema-tests blastema-bench blastema-examples",
-    ),
-    ("socket2", "blastema-transports blastema blastema-tests blastema-bench"),
+/// All crates from outside that these packages may use. The core stays nearly bare, so that what it
+/// decides can be simulated; a chip has neither a heap nor an operating system.
+const BARE: [(&str, &str); 4] = [
+    ("blastema-core", "bincode bytes ring serde snow thiserror x25519-dalek zeroize"),
+    ("blastema-contract", "actix bytes"),
+    ("blastema-trees", "roxmltree strsim thiserror"),
+    ("blastema-lite", ""),
 ];
 
 /// Workspaces of their own: one needs a nightly compiler, and the crates of the other compile for
@@ -81,34 +69,34 @@ fn members(tree: &Tree) -> impl Iterator<Item = (&Manifest, &str)> {
     tree.manifests
         .iter()
         .filter(|manifest| !APART.contains(&manifest.path.as_str()))
-        .filter_map(|manifest| Some((manifest, manifest.package.as_deref()?)))
+        .filter_map(|manifest| Some((manifest, manifest.package()?)))
 }
 
-fn is_ours(package: &str) -> bool {
-    package == "blastema" || package.starts_with("blastema-")
+fn has(names: &str, name: &str) -> bool {
+    names.split(' ').any(|known| known == name)
 }
 
-/// Every dependency between two of our packages leads to one further down.
+/// Every dependency between two of our packages leads to one further down, and the lowest use few
+/// others.
 pub(crate) fn arrows(tree: &Tree) -> Vec<Breach> {
     let mut breaches = Vec::new();
     for (manifest, package) in members(tree) {
+        let mut breach = |what| breaches.push(Breach::new(&manifest.path, 1, what));
         let Some((_, below, in_tests)) = PLACES.iter().find(|(name, ..)| *name == package) else {
-            breaches.push(Breach::new(
-                &manifest.path,
-                1,
-                format!("the package {package} has no place in the map"),
-            ));
+            breach(format!("the package {package} has no place in the map"));
             continue;
         };
-        let sections =
-            [("dependencies", ""), ("build-dependencies", ""), ("dev-dependencies", *in_tests)];
-        for (section, beside) in sections {
-            for (line, entry) in manifest.section(section) {
-                let needed = key(entry);
-                let mut allowed = below.split(' ').chain(beside.split(' '));
-                if is_ours(needed) && !allowed.any(|name| name == needed) {
-                    let what = format!("{package} -> {needed} ({section})");
-                    breaches.push(Breach::new(&manifest.path, line, what));
+        let bare = BARE.iter().find(|(name, _)| *name == package).map(|(_, outside)| outside);
+        for section in ["dependencies", "build-dependencies", "dev-dependencies"] {
+            let of_tests = section == "dev-dependencies";
+            for (needed, _) in manifest.dependencies(section) {
+                let ours = needed == "blastema" || needed.starts_with("blastema-");
+                let known = match ours {
+                    true => has(below, needed) || of_tests && has(in_tests, needed),
+                    false => of_tests || bare.is_none_or(|outside| has(outside, needed)),
+                };
+                if !known {
+                    breach(format!("{package} -> {needed} ({section})"));
                 }
             }
         }
@@ -116,75 +104,36 @@ pub(crate) fn arrows(tree: &Tree) -> Vec<Breach> {
     breaches
 }
 
-/// Crates from outside are known only where they belong.
-pub(crate) fn outsiders(tree: &Tree) -> Vec<Breach> {
-    let mut breaches = Vec::new();
-    for (manifest, package) in members(tree) {
-        for (line, entry) in manifest.section("dependencies") {
-            let needed = key(entry);
-            if is_ours(needed) {
-                continue;
-            }
-            let barred = KNOWN_BY.iter().any(|(krate, packages)| {
-                *krate == needed && !packages.split(' ').any(|name| name == package)
-            });
-            let bare = match package {
-                "blastema-core" => CORE_TAKES.contains(&needed),
-                "blastema-trees" => TREES_TAKE.contains(&needed),
-                // A chip has neither a heap nor an operating system.
-                "blastema-lite" => false,
-                _ => true,
-            };
-            if barred || !bare {
-                breaches.push(Breach::new(&manifest.path, line, format!("{package} -> {needed}")));
-            }
-        }
-    }
-    breaches
-}
-
-/// Versions of dependencies, and the package's own facts, stand in the root manifest only.
+/// Versions of dependencies, the package's own facts and the lints stand in the root manifest only,
+/// and the lints forbid unsafe code.
 pub(crate) fn inheritance(tree: &Tree) -> Vec<Breach> {
+    let inherits = |entry: Option<&toml::Value>| {
+        entry.is_some_and(|entry| entry.get("workspace") == Some(&true.into()))
+    };
     let mut breaches = Vec::new();
     for (manifest, package) in members(tree) {
-        for section in ["dependencies", "dev-dependencies", "build-dependencies"] {
-            for (line, entry) in manifest.section(section) {
-                let entry_text = entry.replace(' ', "");
-                if !entry_text.contains("workspace=true") {
-                    breaches.push(Breach::new(&manifest.path, line, entry));
-                }
-            }
-        }
-        for fact in ["version", "edition", "rust-version", "license"] {
-            let inherited = manifest
-                .section("package")
-                .any(|(_, entry)| entry.starts_with(&format!("{fact}.workspace")));
-            if !inherited {
-                let what = format!("{package} does not say {fact}.workspace = true");
+        let mut check = |entry, name: &str| {
+            if !inherits(entry) {
+                let what = format!("{package} does not say {name}.workspace = true");
                 breaches.push(Breach::new(&manifest.path, 1, what));
             }
+        };
+        for section in ["dependencies", "dev-dependencies", "build-dependencies"] {
+            manifest
+                .dependencies(section)
+                .iter()
+                .for_each(|(name, entry)| check(Some(entry), name));
         }
+        for fact in ["version", "edition", "rust-version", "license"] {
+            check(manifest.table["package"].get(fact), fact);
+        }
+        check(manifest.table.get("lints"), "lints");
     }
-    breaches
-}
-
-/// Every package takes the workspace's lints, and these forbid unsafe code.
-pub(crate) fn lints(tree: &Tree) -> Vec<Breach> {
-    let mut breaches: Vec<Breach> = members(tree)
-        .filter(|(manifest, _)| {
-            !manifest.section("lints").any(|(_, entry)| entry.replace(' ', "") == "workspace=true")
-        })
-        .map(|(manifest, package)| {
-            Breach::new(&manifest.path, 1, format!("{package} has no [lints] workspace = true"))
-        })
-        .collect();
     let root = tree.manifests.iter().find(|manifest| manifest.path == "Cargo.toml");
-    let forbids = root.is_some_and(|root| {
-        root.entries.iter().any(|(section, _, entry)| {
-            section == "workspace.lints.rust" && entry.replace(' ', "") == "unsafe_code=\"forbid\""
-        })
+    let unsafe_code = root.and_then(|root| {
+        root.table.get("workspace")?.get("lints")?.get("rust")?.get("unsafe_code")?.as_str()
     });
-    if !forbids {
+    if unsafe_code != Some("forbid") {
         breaches.push(Breach::new("Cargo.toml", 1, "unsafe_code is not forbidden"));
     }
     breaches

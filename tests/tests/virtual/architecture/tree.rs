@@ -1,13 +1,26 @@
-//! The project's files as the rules see them: manifests as lines, sources as tokens with lines.
+//! The project's files as the rules see them: manifests as tables, sources as tokens with lines.
 //!
 //! Comments and texts are no tokens, so that a rule about code never trips over a sentence that
 //! speaks of it. The tree is plain data: a rule can be shown a small false one.
 
-use proc_macro2::{Delimiter, Spacing, TokenStream, TokenTree};
-use std::collections::{BTreeMap, BTreeSet};
+use proc_macro2::{Delimiter, TokenStream, TokenTree};
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
-use syn::spanned::Spanned;
+
+/// The packages of a robot in operation. Test doubles are named after what they stand for.
+pub(crate) const PRODUCT: [&str; 10] = [
+    "core/src",
+    "core/trees/src",
+    "core/lite/src",
+    "core/contract/src",
+    "core/macros/src",
+    "transports/src",
+    "actors/src",
+    "actors/robot/src",
+    "actors/cli/src",
+    "actors/demo/src",
+];
 
 /// Where a rule is broken, and how.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -26,91 +39,114 @@ impl Breach {
     }
 }
 
-/// One word or sign of a source.
+/// One word or sign of a source; brackets are tokens themselves, and so is `::`.
 #[derive(Clone, Debug)]
 pub(crate) struct Token {
     pub(crate) text: String,
     pub(crate) line: usize,
+    /// How many brackets are open around it.
+    pub(crate) depth: usize,
 }
 
-/// The definition of a type.
-#[derive(Debug)]
-pub(crate) struct Definition {
-    pub(crate) name: String,
-    pub(crate) line: usize,
-    /// Only its own file can name it.
-    pub(crate) private: bool,
+/// Whether these tokens, parted by blanks, begin the others: `Instant :: now`.
+pub(crate) fn begins(tokens: &[Token], code: &str) -> bool {
+    let mut tokens = tokens.iter();
+    code.split(' ').all(|wanted| tokens.next().is_some_and(|token| token.text == wanted))
 }
 
-/// One Rust file.
+/// One Rust source.
 #[derive(Debug)]
 pub(crate) struct Source {
     pub(crate) path: String,
-    pub(crate) text: String,
     pub(crate) tokens: Vec<Token>,
-    /// The files in which its declared modules may lie, and whether they exist only in tests.
-    modules: Vec<(Vec<String>, bool)>,
-    /// The types that it defines outside of tests.
-    pub(crate) types: Vec<Definition>,
-    /// Reached only as a test: a file under `tests/`, or behind `#[cfg(test)]`.
-    pub(crate) test: bool,
-    /// First and last lines of the items that exist only in tests.
-    test_lines: Vec<(usize, usize)>,
+    /// The tokens that are not only for tests.
+    pub(crate) code: Vec<Token>,
 }
 
 impl Source {
-    /// Whether the line exists only in tests.
-    pub(crate) fn is_test(&self, line: usize) -> bool {
-        self.test || self.test_lines.iter().any(|&(first, last)| (first..=last).contains(&line))
-    }
-
-    /// The lines where these tokens, parted by blanks, follow one another: `Instant :: now`.
-    pub(crate) fn lines_with(&self, code: &str) -> Vec<usize> {
-        let wanted: Vec<&str> = code.split(' ').collect();
-        self.tokens
-            .windows(wanted.len())
-            .filter(|here| here.iter().zip(&wanted).all(|(token, wanted)| token.text == *wanted))
-            .map(|here| here[0].line)
-            .collect()
-    }
-
-    /// How many lines the file has, those that exist only in tests not counted.
-    pub(crate) fn length(&self) -> usize {
-        (1..=self.text.lines().count()).filter(|&line| !self.is_test(line)).count()
+    fn new(path: &str, text: &str) -> Source {
+        let stream: TokenStream =
+            text.parse().unwrap_or_else(|error| panic!("{path}: {error}: rustfmt shows where"));
+        let mut tokens = Vec::new();
+        flatten(stream, 0, &mut tokens);
+        let is_test = |part: &str| matches!(part, "tests" | "tests.rs" | "benches");
+        let code = if path.split('/').any(is_test) { Vec::new() } else { without_tests(&tokens) };
+        Source { path: path.into(), tokens, code }
     }
 }
 
+fn flatten(stream: TokenStream, depth: usize, out: &mut Vec<Token>) {
+    let mut colon = false;
+    for tree in stream {
+        let line = tree.span().start().line;
+        let mut push = |text: &str, line| out.push(Token { text: text.into(), line, depth });
+        let joined = std::mem::take(&mut colon);
+        match tree {
+            TokenTree::Group(group) => {
+                let (open, close) = match group.delimiter() {
+                    Delimiter::Parenthesis => ("(", ")"),
+                    Delimiter::Brace => ("{", "}"),
+                    Delimiter::Bracket => ("[", "]"),
+                    Delimiter::None => ("", ""),
+                };
+                push(open, line);
+                flatten(group.stream(), depth + 1, out);
+                let line = group.span_close().start().line;
+                out.push(Token { text: close.into(), line, depth });
+            }
+            TokenTree::Punct(sign) if sign.as_char() == ':' && joined => {
+                out.last_mut().expect("the first colon").text = "::".into();
+            }
+            other => {
+                let text = other.to_string();
+                colon = text == ":";
+                push(&text, line);
+            }
+        }
+    }
+}
+
+/// The tokens without each item, statement or field behind `#[cfg(test)]`, or `#[cfg(all(test, ..`.
+fn without_tests(tokens: &[Token]) -> Vec<Token> {
+    let (mut code, mut at) = (Vec::new(), 0);
+    while let Some(token) = tokens.get(at) {
+        let rest = &tokens[at..];
+        let tests = ["# [ cfg ( test", "# [ cfg ( all ( test"];
+        if !tests.iter().any(|test| begins(rest, test)) {
+            code.push(token.clone());
+            at += 1;
+            continue;
+        }
+        let ends = |end: &Token| {
+            end.depth < token.depth
+                || end.depth == token.depth && matches!(end.text.as_str(), ";" | "," | "}")
+        };
+        at += rest.iter().position(ends).map_or(rest.len(), |end| end + 1);
+    }
+    code
+}
+
+/// The manifest of a package of this workspace, or of the workspace.
 #[derive(Debug)]
 pub(crate) struct Manifest {
     pub(crate) path: String,
-    /// The package's name; none in the root manifest.
-    pub(crate) package: Option<String>,
-    /// Every entry: its section, its line and its text.
-    pub(crate) entries: Vec<(String, usize, String)>,
+    pub(crate) table: toml::Table,
 }
 
 impl Manifest {
-    /// The entries of the sections that end so, as `dependencies` or `dev-dependencies`.
-    pub(crate) fn section<'a>(
-        &'a self,
-        ending: &'a str,
-    ) -> impl Iterator<Item = (usize, &'a str)> + 'a {
-        let of_target = format!(".{ending}");
-        self.entries
-            .iter()
-            .filter(move |(section, ..)| section == ending || section.ends_with(&of_target))
-            .map(|(_, line, text)| (*line, text.as_str()))
+    /// The package's name; none in the root manifest.
+    pub(crate) fn package(&self) -> Option<&str> {
+        self.table.get("package")?.get("name")?.as_str()
     }
 
-    /// The folder of the package, with a slash at its end unless it is the root.
-    pub(crate) fn folder(&self) -> &str {
-        self.path.trim_end_matches("Cargo.toml")
+    /// The entries of a section of dependencies, those for some targets included.
+    pub(crate) fn dependencies(&self, section: &str) -> Vec<(&str, &toml::Value)> {
+        let targets = self.table.get("target").and_then(toml::Value::as_table);
+        let targets = targets.into_iter().flatten().map(|(_, target)| target.get(section));
+        let sections = targets.chain([self.table.get(section)]).flatten();
+        let entries = sections.filter_map(toml::Value::as_table).flatten();
+        entries.map(|(name, entry)| (name.as_str(), entry)).collect()
     }
-}
-
-/// The name at the beginning of a manifest's entry.
-pub(crate) fn key(entry: &str) -> &str {
-    entry.split(['=', '.']).next().unwrap_or(entry).trim().trim_matches('"')
 }
 
 /// All files that rules look at.
@@ -118,11 +154,7 @@ pub(crate) fn key(entry: &str) -> &str {
 pub(crate) struct Tree {
     /// Sources, manifests and pages by their path from the root.
     pub(crate) files: BTreeMap<String, String>,
-    /// The Rust sources that some target reaches.
     pub(crate) sources: Vec<Source>,
-    /// The Rust sources that no target reaches.
-    pub(crate) unreached: BTreeSet<String>,
-    /// The workspace's manifests.
     pub(crate) manifests: Vec<Manifest>,
 }
 
@@ -136,276 +168,33 @@ impl Tree {
         Tree::of(files)
     }
 
-    /// A tree of these files.
-    pub(crate) fn of_texts(texts: &[(&str, &str)]) -> Tree {
-        Tree::of(texts.iter().map(|&(path, text)| (path.into(), text.into())).collect())
-    }
-
-    fn of(files: BTreeMap<String, String>) -> Tree {
-        let manifests: Vec<Manifest> = files
-            .iter()
-            .filter(|(path, _)| path.as_str() == "Cargo.toml" || path.ends_with("/Cargo.toml"))
-            .map(|(path, text)| manifest(path, text))
-            .collect();
-        let mut tree = Tree { files, manifests, ..Tree::default() };
-        let mut reached = BTreeMap::new();
-        for path in tree.files.keys().filter(|path| path.ends_with(".rs")) {
-            if let Some(test) = target(path) {
-                tree.reach(path, test, &mut reached);
-            }
-        }
-        tree.unreached = tree
-            .files
-            .keys()
-            .filter(|path| path.ends_with(".rs") && !reached.contains_key(*path))
-            .cloned()
-            .collect();
-        tree.sources = reached.into_values().collect();
-        tree
-    }
-
-    /// Reads a file and the files of the modules that it declares.
-    fn reach(&self, path: &str, test: bool, reached: &mut BTreeMap<String, Source>) {
-        // A file that both a test and the product reach is the product's.
-        if reached.get(path).is_some_and(|known| test || !known.test) {
-            return;
-        }
-        let text = &self.files[path];
-        let source = source(path, text, test);
-        let declared = source.modules.clone();
-        reached.insert(path.into(), source);
-        for (candidates, test) in declared {
-            if let Some(found) = candidates.iter().find(|path| self.files.contains_key(*path)) {
-                self.reach(found, test, reached);
-            }
-        }
-    }
-
-    /// The manifest of the package that the file belongs to.
-    pub(crate) fn package_of(&self, path: &str) -> Option<&Manifest> {
-        self.manifests
-            .iter()
-            .filter(|manifest| path.starts_with(manifest.folder()))
-            .max_by_key(|manifest| manifest.folder().len())
+    pub(crate) fn of(files: BTreeMap<String, String>) -> Tree {
+        let named = |ending| files.iter().filter(move |(path, _)| path.ends_with(ending));
+        let sources = named(".rs").map(|(path, text)| Source::new(path, text)).collect();
+        let manifest = |(path, text): (&String, &String)| Manifest {
+            path: path.clone(),
+            table: text.parse().unwrap_or_else(|error| panic!("{path}: {error}")),
+        };
+        let manifests = named("Cargo.toml").map(manifest).collect();
+        Tree { sources, manifests, files }
     }
 }
 
-/// Puts every text file below `folder` into `files`; what is built or kept by tools is left out.
+/// Puts every text file below `folder` into `files`; what is built or kept by tools, and what is not to
+/// compile, is left out.
 fn collect(root: &Path, folder: &Path, files: &mut BTreeMap<String, String>) {
     let entries = fs::read_dir(folder).expect("the project's folders can be read");
     for entry in entries {
         let path = entry.expect("the project's folders can be read").path();
         let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
         if path.is_dir() {
-            if !matches!(name, "target" | ".git" | "corpus" | "artifacts") {
+            if !matches!(name, "target" | ".git" | "corpus" | "artifacts" | "compile_fail") {
                 collect(root, &path, files);
             }
-        } else if name.ends_with(".rs") || name.ends_with(".toml") || name.ends_with(".md") {
+        } else if [".rs", ".md", "Cargo.toml"].iter().any(|ending| name.ends_with(ending)) {
             let short = path.strip_prefix(root).expect("a path below the root");
             let text = fs::read_to_string(&path).expect("sources and pages are UTF-8");
             files.insert(short.to_string_lossy().replace('\\', "/"), text);
         }
     }
-}
-
-/// Whether Cargo takes the file for the root of a target by its place, and then whether of a test.
-fn target(path: &str) -> Option<bool> {
-    let folders: Vec<&str> = path.split('/').collect();
-    let below = |name: &str| {
-        let at = folders.iter().rposition(|folder| *folder == name)?;
-        let rest = &folders[at + 1..];
-        (rest.len() == 1 || rest.len() == 2 && rest[1] == "main.rs").then_some(())
-    };
-    if path.starts_with("tests/fuzz/") {
-        return below("fuzz_targets").map(|()| true);
-    }
-    if path == "build.rs" || path.ends_with("/build.rs") {
-        return Some(false);
-    }
-    if folders.iter().rev().nth(1) == Some(&"src")
-        && matches!(folders.last(), Some(&"lib.rs" | &"main.rs"))
-        || below("bin").is_some() && folders.contains(&"src")
-    {
-        return Some(path.starts_with("tests/"));
-    }
-    // The package `tests` has its own folder `tests`; `tests/bench` is a package and no target.
-    let own = folders.iter().filter(|folder| **folder == "tests").count();
-    let test = below("tests").is_some() && (folders[0] != "tests" || own == 2);
-    let example = below("examples").is_some() && (folders[0] != "examples" || folders.len() > 2);
-    (test || below("benches").is_some() || example).then_some(!example)
-}
-
-/// Where the files of a file's modules lie.
-fn module_folder(path: &str) -> String {
-    let (folder, file) = path.rsplit_once('/').unwrap_or(("", path));
-    let stem = file.trim_end_matches(".rs");
-    let is_root = target(path).is_some() || stem == "mod";
-    if is_root { folder.into() } else { format!("{folder}/{stem}") }
-}
-
-/// The files in which a module that is declared may lie, and whether it exists only in tests.
-fn declared_modules(items: &[syn::Item], folder: &str, test: bool) -> Vec<(Vec<String>, bool)> {
-    let mut found = Vec::new();
-    for item in items {
-        let syn::Item::Mod(module) = item else { continue };
-        let test = test || only_in_tests(&module.attrs);
-        let name = module.ident.to_string();
-        match &module.content {
-            Some((_, inner)) => {
-                found.extend(declared_modules(inner, &format!("{folder}/{name}"), test));
-            }
-            None => {
-                let named = module.attrs.iter().find(|attribute| attribute.path().is_ident("path"));
-                let candidates = match named.map(|attribute| &attribute.meta) {
-                    Some(syn::Meta::NameValue(meta)) => {
-                        let value = &meta.value;
-                        let text = quote::quote!(#value).to_string();
-                        vec![format!("{folder}/{}", text.trim_matches('"'))]
-                    }
-                    _ => vec![format!("{folder}/{name}.rs"), format!("{folder}/{name}/mod.rs")],
-                };
-                found.push((candidates, test));
-            }
-        }
-    }
-    found
-}
-
-fn source(path: &str, text: &str, test: bool) -> Source {
-    let file = syn::parse_file(text).unwrap_or_else(|error| {
-        panic!("{path}:{}: {error}: let rustfmt show what is wrong", error.span().start().line)
-    });
-    let stream = text.parse().expect("what parses as a file is made of tokens");
-    let (mut test_lines, mut types) = (Vec::new(), Vec::new());
-    collect_test_lines(&file.items, &mut test_lines);
-    collect_types(&file.items, &mut types);
-    Source {
-        path: path.into(),
-        text: text.into(),
-        tokens: tokens_of(stream),
-        modules: declared_modules(&file.items, &module_folder(path), test),
-        types,
-        test,
-        test_lines,
-    }
-}
-
-fn collect_test_lines(items: &[syn::Item], lines: &mut Vec<(usize, usize)>) {
-    for item in items {
-        if only_in_tests(attributes(item)) {
-            lines.push((item.span().start().line, item.span().end().line));
-        } else if let syn::Item::Mod(syn::ItemMod { content: Some((_, inner)), .. }) = item {
-            collect_test_lines(inner, lines);
-        }
-    }
-}
-
-fn collect_types(items: &[syn::Item], types: &mut Vec<Definition>) {
-    for item in items.iter().filter(|item| !only_in_tests(attributes(item))) {
-        let (name, visibility) = match item {
-            syn::Item::Enum(item) => (&item.ident, &item.vis),
-            syn::Item::Struct(item) => (&item.ident, &item.vis),
-            syn::Item::Trait(item) => (&item.ident, &item.vis),
-            syn::Item::Type(item) => (&item.ident, &item.vis),
-            syn::Item::Union(item) => (&item.ident, &item.vis),
-            syn::Item::Mod(syn::ItemMod { content: Some((_, inner)), .. }) => {
-                collect_types(inner, types);
-                continue;
-            }
-            _ => continue,
-        };
-        let private = matches!(visibility, syn::Visibility::Inherited);
-        types.push(Definition { name: name.to_string(), line: name.span().start().line, private });
-    }
-}
-
-fn attributes(item: &syn::Item) -> &[syn::Attribute] {
-    match item {
-        syn::Item::Const(item) => &item.attrs,
-        syn::Item::Enum(item) => &item.attrs,
-        syn::Item::Fn(item) => &item.attrs,
-        syn::Item::Impl(item) => &item.attrs,
-        syn::Item::Macro(item) => &item.attrs,
-        syn::Item::Mod(item) => &item.attrs,
-        syn::Item::Static(item) => &item.attrs,
-        syn::Item::Struct(item) => &item.attrs,
-        syn::Item::Trait(item) => &item.attrs,
-        syn::Item::Type(item) => &item.attrs,
-        syn::Item::Union(item) => &item.attrs,
-        syn::Item::Use(item) => &item.attrs,
-        _ => &[],
-    }
-}
-
-/// Whether the attributes hold `#[cfg(test)]`, or `test` as one condition of `all`.
-fn only_in_tests(attributes: &[syn::Attribute]) -> bool {
-    attributes.iter().filter(|attribute| attribute.path().is_ident("cfg")).any(|attribute| {
-        let syn::Meta::List(list) = &attribute.meta else { return false };
-        let tokens = tokens_of(list.tokens.clone());
-        let first = tokens.first().map(|token| token.text.as_str());
-        first == Some("test")
-            || first == Some("all") && tokens.iter().any(|token| token.text == "test")
-    })
-}
-
-/// A stream of tokens without its nesting; brackets are tokens themselves, and so is `::`.
-pub(crate) fn tokens_of(stream: TokenStream) -> Vec<Token> {
-    fn flatten(stream: TokenStream, out: &mut Vec<Token>) {
-        let mut joined = false;
-        for tree in stream {
-            let line = tree.span().start().line;
-            match tree {
-                TokenTree::Group(group) => {
-                    let (open, close) = match group.delimiter() {
-                        Delimiter::Parenthesis => ("(", ")"),
-                        Delimiter::Brace => ("{", "}"),
-                        Delimiter::Bracket => ("[", "]"),
-                        Delimiter::None => ("", ""),
-                    };
-                    out.push(Token { text: open.into(), line });
-                    flatten(group.stream(), out);
-                    out.push(Token { text: close.into(), line: group.span_close().start().line });
-                }
-                other => {
-                    let text = other.to_string();
-                    match out.last_mut() {
-                        Some(last) if joined && text == ":" => last.text = "::".into(),
-                        _ => out.push(Token { text: text.clone(), line }),
-                    }
-                    joined = matches!(&other, TokenTree::Punct(sign)
-                        if text == ":" && sign.spacing() == Spacing::Joint);
-                }
-            }
-        }
-    }
-    let mut out = Vec::new();
-    flatten(stream, &mut out);
-    out
-}
-
-/// Reads the little of TOML that Cargo's manifests in this project use: sections, and entries on
-/// one line or on several lines of one list.
-fn manifest(path: &str, text: &str) -> Manifest {
-    let mut section = String::new();
-    let mut package = None;
-    let mut entries = Vec::new();
-    for (at, line) in text.lines().enumerate() {
-        let line = line.trim();
-        if line.is_empty() || line.starts_with('#') {
-            continue;
-        }
-        if let Some(name) = line.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')) {
-            section = name.trim_matches(['[', ']']).into();
-            // `[dependencies.serde]` is an entry of its parent as well.
-            if let Some((parent, name)) = section.rsplit_once("dependencies.") {
-                entries.push((format!("{parent}dependencies"), at + 1, format!("{name} = table")));
-            }
-            continue;
-        }
-        if section == "package" && key(line) == "name" {
-            package = line.split('"').nth(1).map(String::from);
-        }
-        entries.push((section.clone(), at + 1, line.into()));
-    }
-    Manifest { path: path.into(), package, entries }
 }

@@ -343,72 +343,31 @@ fn roots(evidence: &Evidence, out: &mut Vec<String>) {
 }
 
 fn explains(cause: Cause, kind: &FaultKind) -> bool {
+    let waits = matches!(cause, Cause::Wait(_) | Cause::Hang | Cause::Slow);
+    // A component may wait for another one's answer as long as it may wait at all.
+    let stands = waits || matches!(cause, Cause::Block(_) | Cause::Consult);
+    let fails = matches!(cause, Cause::Fail(_) | Cause::Fatal(_) | Cause::Unavailable);
     match kind {
         FaultKind::Panic => {
             matches!(cause, Cause::Panic(_) | Cause::Condition(_) | Cause::Kill)
         }
         FaultKind::UnexpectedExit => cause == Cause::Stop,
-        FaultKind::Hang => {
-            // A component may wait for another one's answer as long as it may wait at all.
-            matches!(
-                cause,
-                Cause::Wait(_) | Cause::Block(_) | Cause::Hang | Cause::Slow | Cause::Consult
-            )
-        }
-        FaultKind::Silence => matches!(
-            cause,
-            Cause::Silence
-                | Cause::Wait(_)
-                | Cause::Block(_)
-                | Cause::Hang
-                | Cause::Slow
-                | Cause::Flood
-                | Cause::Consult
-        ),
+        FaultKind::Hang => stands,
+        FaultKind::Silence => stands || matches!(cause, Cause::Silence | Cause::Flood),
+        FaultKind::Overload => stands || cause == Cause::Flood,
         // Also of the last hooks, which fail for good or are cut off.
-        FaultKind::ErrorState => matches!(
-            cause,
-            Cause::Fail(_)
-                | Cause::Fatal(_)
-                | Cause::Unavailable
-                | Cause::Wait(_)
-                | Cause::Hang
-                | Cause::Slow
-        ),
-        FaultKind::InitializationFailed => matches!(
-            cause,
-            Cause::Fail("on_initialize")
-                | Cause::Fatal("on_initialize")
-                | Cause::FailInit
-                | Cause::Wait(_)
-                | Cause::Hang
-                | Cause::Slow
-        ),
-        FaultKind::Fatal => matches!(
-            cause,
-            Cause::Fatal(_)
-                | Cause::Fail(_)
-                | Cause::FailInit
-                | Cause::Wait(_)
-                | Cause::Hang
-                | Cause::Slow
-                | Cause::Unavailable
-        ),
+        FaultKind::ErrorState => waits || fails,
+        FaultKind::InitializationFailed => {
+            let hook = "on_initialize";
+            waits || [Cause::Fail(hook), Cause::Fatal(hook), Cause::FailInit].contains(&cause)
+        }
+        FaultKind::Fatal => waits || fails || cause == Cause::FailInit,
         FaultKind::Unavailable => cause == Cause::Unavailable,
         FaultKind::CheckFailed => {
             // Two that consult each other wait in a circle, which is told.
             let causes = [Cause::Declare, Cause::DropPanic, Cause::Consult];
             causes.contains(&cause) || matches!(cause, Cause::Condition(_))
         }
-        FaultKind::Overload => matches!(
-            cause,
-            Cause::Wait(_)
-                | Cause::Block(_)
-                | Cause::Hang
-                | Cause::Slow
-                | Cause::Flood
-                | Cause::Consult
-        ),
         _ => false,
     }
 }

@@ -49,21 +49,8 @@ pub(crate) const WATCHER: &str = "watcher";
 impl Robot {
     /// The node of this plan.
     pub(crate) fn builder(&self, ledger: &Ledger) -> NodeBuilder {
-        let Group { strategy, escalates, intensity, children, .. } = &self.root;
-        let root = SupervisorSpec::new("", *strategy).intensity(*intensity, PERIOD);
-        let mut builder = Node::builder("robot").plan(self.recovery()).root(root);
-        if *escalates {
-            builder = builder.when_exceeded(WhenExceeded::Escalate);
-        }
-        for child in children {
-            builder = match child {
-                Branch::Part(index) => {
-                    let (spec, restart) = self.spec(*index, ledger);
-                    builder.child_with(spec, restart)
-                }
-                Branch::Group(group) => builder.supervisor(self.supervisor(group, ledger)),
-            };
-        }
+        let root = self.supervisor(&self.root, ledger);
+        let builder = Node::builder("robot").plan(self.recovery()).root(root);
         match self.clock {
             Clock::Virtual => builder,
             Clock::Real { threads } => builder.work_threads(usize::from(threads)),

@@ -2,25 +2,16 @@
 
 use crate::scenarios::puppet::{Deed, Strings, ask, incarnation, strike};
 use blastema::prelude::*;
-use blastema::{MemoryMedium, Network};
 use blastema_testkit::TestNode;
 use std::time::Duration;
 
 #[blastema_testkit::test]
-async fn the_chain_shows_itself_in_the_table() {
-    let node = TestNode::start(Node::builder("module1")).await;
-
-    for name in ["chain/detection", "chain/recoverer", "root"] {
-        let row = node.row(name).await;
-        assert_eq!(row.restarts, 0, "{name}");
-    }
-}
-
-#[blastema_testkit::test]
-async fn a_reader_of_fault_events_that_goes_away_is_forgotten() {
+async fn the_chain_shows_itself_and_forgets_a_reader_of_fault_events_that_goes_away() {
     let (_, mut node) = Strings::robot(["laser"]).await;
-    let events = node.fault_events();
-    drop(events);
+    drop(node.fault_events());
+    for name in ["chain/detection", "chain/recoverer", "root"] {
+        assert_eq!(node.row(name).await.restarts, 0, "{name}");
+    }
 
     for _ in 0..3 {
         strike(&node, "laser").await;
@@ -66,21 +57,4 @@ async fn safe_outputs_that_panic_do_not_keep_the_node_from_its_rest() {
     strike(&node, "laser").await;
 
     assert!(matches!(node.ended().await, NodeState::InSafeState { .. }));
-}
-
-#[blastema_testkit::test]
-async fn a_router_that_panics_is_recorded_and_lives_on() {
-    let medium = MemoryMedium::default();
-    let network = Network::memory("ethernet", &medium, "module1");
-    let mut node = TestNode::start(Node::builder("module1").network(network)).await;
-
-    for _ in 0..3 {
-        node.panic_router();
-        node.await_fault(FaultKind::Panic, "net/stack").await;
-        node.await_recovered(FaultKind::Panic, "net/stack").await;
-        node.advance(Duration::from_secs(10)).await;
-    }
-
-    node.expect_no_faults().await;
-    assert_eq!(node.row("net/stack").await.restarts, 3);
 }

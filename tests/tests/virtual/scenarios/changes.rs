@@ -27,16 +27,6 @@ fn with_arm(strings: &Strings) -> NodeBuilder {
     Node::builder("module1").child(strings.spec("arm"))
 }
 
-/// The first hooks of incarnations, and the last ones.
-fn begins_and_ends(strings: &Strings) -> Vec<String> {
-    let short = |line: String| {
-        line.strip_suffix(" on_initialize")
-            .map(|who| format!("+{who}"))
-            .or_else(|| line.strip_suffix(" on_finalize").map(|who| format!("-{who}")))
-    };
-    strings.diary().into_iter().filter_map(short).collect()
-}
-
 /// What is told of the node's objects, in all places that list them.
 async fn shown(node: &TestNode) -> (usize, String, usize, Vec<String>) {
     node.settle().await;
@@ -73,7 +63,7 @@ async fn a_supervisor_is_added_with_all_below_it_and_is_kept_like_any_other() {
     node.add(Some("group"), (last, Restart::Transient)).await.expect("it starts");
 
     let begun = ["+arm#1", "+left#1", "+deep#1", "+right#1", "+last#1"];
-    assert_eq!(begins_and_ends(&strings), begun);
+    assert_eq!(strings.begins_and_ends(), begun);
     let tree = node.tree().await.unwrap();
     let below = tree.children[1].below.as_ref().expect("a supervisor").children.iter();
     let below: Vec<_> = below.map(|child| (child.name.as_str(), child.state)).collect();
@@ -86,7 +76,7 @@ async fn a_supervisor_is_added_with_all_below_it_and_is_kept_like_any_other() {
     node.await_recovered(FaultKind::Panic, "right").await;
 
     let again = ["-last#1", "-deep#1", "-left#1", "+left#2", "+deep#2", "+right#2", "+last#2"];
-    assert_eq!(begins_and_ends(&strings), again);
+    assert_eq!(strings.begins_and_ends(), again);
     node.expect_no_faults().await;
     let restarted = node.restart_child("group").await.unwrap();
     assert_eq!(restarted, RestartedChild::Running(Incarnation(2)));
@@ -95,7 +85,7 @@ async fn a_supervisor_is_added_with_all_below_it_and_is_kept_like_any_other() {
 
     node.shutdown().await;
 
-    assert_eq!(begins_and_ends(&strings), ["-last#3", "-right#3", "-deep#3", "-left#3", "-arm#1"]);
+    assert_eq!(strings.begins_and_ends(), ["-last#3", "-right#3", "-deep#3", "-left#3", "-arm#1"]);
 }
 
 #[blastema_testkit::test]
@@ -117,12 +107,12 @@ async fn a_supervisor_is_removed_in_reverse_unless_others_need_it_and_its_names_
         let refused = node.remove_child(name).await.expect_err("no supervisor keeps it");
         assert!(matches!(refused, RemoveError::Unknown { .. }), "{refused}");
     }
-    assert_eq!(begins_and_ends(&strings), [""; 0], "nothing was touched");
+    assert_eq!(strings.begins_and_ends(), [""; 0], "nothing was touched");
 
     node.remove_child("hand").await.expect("it is not needed");
     node.remove_child("group").await.expect("it is not needed any more");
 
-    let ended = begins_and_ends(&strings);
+    let ended = strings.begins_and_ends();
     assert_eq!(ended, ["-hand#1", "-right#1", "-deep#1", "-left#1"]);
     let refused = notes.tell(Note(1)).expect_err("it is gone");
     assert_eq!((refused.kind, refused.message), (DeliveryError::Stopped, Note(1)));
@@ -155,7 +145,7 @@ async fn an_addition_whose_third_child_fails_to_start_is_undone_in_reverse() {
     assert!(matches!(undone, SpecError::NotStarted { .. }), "{told}");
     assert!(told.starts_with("group could not be started, and is not added: "), "{told}");
     assert!(told.contains("right") && told.contains("no device"), "{told}");
-    let diary = begins_and_ends(&strings);
+    let diary = strings.begins_and_ends();
     assert_eq!(diary[diary.len() - 2..], ["-deep#4", "-left#4"], "{diary:?}");
     assert_eq!(incarnation(&node, "arm").await, 1);
     assert_eq!(shown(&node).await, before);

@@ -6,7 +6,7 @@ use blastema::{
     MemoryMedium, NodeBuilder,
 };
 use blastema_testkit::{TestNode, now};
-use blastema_tests::{MS, Notes, Part, accepts, moves, on_ethernet};
+use blastema_tests::{MS, Notes, Part, accepts, moves, on_ethernet, plug_cable, pull_cable};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU32;
 use std::sync::atomic::Ordering::SeqCst;
@@ -70,6 +70,8 @@ fn ended(actuator: &str) -> Result<f32, DeliveryError> {
 async fn a_commander_holds_the_wheels_for_as_long_as_it_lives_and_gives_them_back() {
     let robot = Robot::start().await;
     let commander = robot.commander("console");
+    let around = robot.here.sender::<Drive>("module2:wheels").unwrap().ask(Drive(9.0)).await;
+    assert!(matches!(around.unwrap_err().kind, DeliveryError::NotServed { .. }));
 
     assert_eq!(commander.command(Drive(1.0)).await, ended("module2:wheels"));
     commander.claim().await.unwrap();
@@ -89,14 +91,6 @@ async fn a_commander_holds_the_wheels_for_as_long_as_it_lives_and_gives_them_bac
 }
 
 #[blastema_testkit::test]
-async fn nobody_commands_the_wheels_past_their_lease() {
-    let robot = Robot::start().await;
-    let around = robot.here.sender::<Drive>("module2:wheels").unwrap().ask(Drive(9.0)).await;
-    assert!(matches!(around.unwrap_err().kind, DeliveryError::NotServed { .. }));
-    assert_eq!(robot.speeds(), [0.0; 0]);
-}
-
-#[blastema_testkit::test]
 async fn a_cut_cable_stops_the_wheels_within_the_lease_and_one_beat() {
     let mut robot = Robot::start().await;
     let commander = robot.commander("console");
@@ -104,7 +98,7 @@ async fn a_cut_cable_stops_the_wheels_within_the_lease_and_one_beat() {
     commander.command(Drive(1.0)).await.unwrap();
 
     let cut_at = now();
-    robot.here.cable("ethernet").unwrap().cut(Direction::Both, false);
+    pull_cable(&robot.here);
     robot.here.advance(BOUND).await;
 
     let (speed, at) = *robot.track.lock().last().unwrap();
@@ -114,7 +108,7 @@ async fn a_cut_cable_stops_the_wheels_within_the_lease_and_one_beat() {
     assert_eq!(commander.command(Drive(2.0)).await, ended("module2:wheels"));
     robot.there.await_fault(FaultKind::CommanderGone, "wheels").await;
 
-    robot.here.cable("ethernet").unwrap().restore();
+    plug_cable(&robot.here);
     robot.here.advance(1000 * MS).await;
     assert_eq!(robot.speeds(), [1.0, 0.0], "what came late was not carried out");
     commander.claim().await.unwrap();
@@ -136,10 +130,10 @@ async fn a_commanders_loss_is_told_each_time_and_stands_until_somebody_commands_
         commander.claim().await.unwrap();
         robot.here.settle().await;
         assert_eq!(lost().await, vec![false; round - 1], "a commander holds the lease");
-        robot.here.cable("ethernet").unwrap().cut(Direction::Both, false);
+        pull_cable(&robot.here);
         robot.here.advance(2 * BOUND).await;
         assert_eq!(lost().await.last(), Some(&true), "round {round}");
-        robot.here.cable("ethernet").unwrap().restore();
+        plug_cable(&robot.here);
         robot.here.advance(1000 * MS).await;
     }
 

@@ -7,11 +7,11 @@ use blastema::{
     Hold, Impairment, Link, MediumKind, MemoryMedium, Network,
 };
 use blastema_testkit::{TestNode, now};
+use blastema_tests::{MS, Part, moves};
 use std::cell::RefCell;
 use std::rc::Rc;
 use std::time::Duration;
 
-const MS: Duration = Duration::from_millis(1);
 const SECOND: Duration = Duration::from_secs(1);
 /// How often hellos are sent where nothing is said.
 const HELLO: Duration = Duration::from_millis(50);
@@ -35,8 +35,7 @@ impl Robot {
         let node = |own: &str, other: &str| {
             let link = Link::to(other, other).hello_every(hello);
             let network = Network::memory("radio", &medium, own).link(link);
-            let wheels = ChildSpec::new("wheels", || Wheels);
-            Node::builder(own).network(radio(network).with_faults(7)).child(wheels)
+            Node::builder(own).network(radio(network).with_faults(7)).child(wheels("wheels"))
         };
         let operator = TestNode::start(node("operator", "rover")).await;
         let rover = TestNode::start(node("rover", "operator")).await;
@@ -83,17 +82,13 @@ impl Robot {
 #[contract(name = "wheels/drive", reply = ())]
 struct Drive(f32);
 
-struct Wheels;
+type Wheels = Part<(), Drive>;
 
-impl Component for Wheels {
-    fn ports(ports: &mut Ports<Self>) {
+fn wheels(name: &str) -> ChildSpec<Wheels> {
+    let spec = ActuatorSpec::new(Drive(0.0), Hold).lease(100 * MS);
+    moves(name, spec, (), |_, _, _| {}).with_ports(|ports| {
         ports.commands::<Drive>("trailer");
-        ports.actuator(ActuatorSpec::new(Drive(0.0), Hold).lease(100 * MS));
-    }
-}
-
-impl Handle<Drive> for Wheels {
-    async fn handle(&mut self, _: Drive, _: &mut Context<Self>) {}
+    })
 }
 
 /// The states that a condition reaches, with the time of each.
@@ -340,8 +335,7 @@ async fn a_guarded_commander_gives_its_lease_back_and_a_guarded_child_runs_while
         matches!(&refused, DeliveryError::CheckFailed { reason } if reason.contains("never heard"))
     );
     condition.connected().await;
-    let helper = || ChildSpec::new("helper", || Wheels);
-    robot.rover.add_child_while(&condition, helper).await.unwrap();
+    robot.rover.add_child_while(&condition, || wheels("helper")).await.unwrap();
     planner.claim().await.unwrap();
     planner.command(Drive(1.0)).await.unwrap();
     let runs = || robot.rover.actor::<Wheels>("helper").is_ok();

@@ -29,38 +29,23 @@ async fn served(node: &TestNode, strings: &Strings) -> Vec<String> {
 }
 
 #[blastema_testkit::test]
-async fn a_queue_that_refuses_gives_the_message_back() {
-    let strings = Strings::default();
-    let (node, hall) = busy(&strings, WhenFull::Refuse).await;
+async fn a_full_queue_refuses_or_drops_what_it_says_and_counts_what_is_lost() {
+    let cases: [(_, &[u32], _, _); 3] = [
+        (WhenFull::Refuse, &[5, 6], 0, ["1", "2", "3", "4"]),
+        (WhenFull::DropOldest, &[], 2, ["3", "4", "5", "6"]),
+        (WhenFull::DropNewest, &[], 2, ["1", "2", "3", "4"]),
+    ];
+    for (when_full, refused, dropped, kept) in cases {
+        let strings = Strings::default();
+        let (node, hall) = busy(&strings, when_full).await;
 
-    (1..=4).for_each(|n| hall.tell(Note(n)).unwrap());
-    let refused = hall.tell(Note(5)).expect_err("it is full");
+        let told = (1..=6).filter_map(|n| hall.tell(Note(n)).err());
+        let expected = refused.iter().map(|&n| (DeliveryError::Full, Note(n)));
 
-    assert_eq!((refused.kind, refused.message), (DeliveryError::Full, Note(5)));
-    assert_eq!((hall.queued(), lost(&node)), (4, 0), "its sender has it, so that nothing is lost");
-    assert_eq!(served(&node, &strings).await, ["1", "2", "3", "4"]);
-}
-
-#[blastema_testkit::test]
-async fn a_queue_that_drops_the_oldest_keeps_the_newest_and_counts() {
-    let strings = Strings::default();
-    let (node, hall) = busy(&strings, WhenFull::DropOldest).await;
-
-    (1..=9).for_each(|n| hall.tell(Note(n)).unwrap());
-
-    assert_eq!((hall.queued(), lost(&node)), (4, 5));
-    assert_eq!(served(&node, &strings).await, ["6", "7", "8", "9"]);
-}
-
-#[blastema_testkit::test]
-async fn a_queue_that_drops_the_newest_keeps_the_first_and_counts() {
-    let strings = Strings::default();
-    let (node, hall) = busy(&strings, WhenFull::DropNewest).await;
-
-    (1..=9).for_each(|n| hall.tell(Note(n)).unwrap());
-
-    assert_eq!((hall.queued(), lost(&node)), (4, 5));
-    assert_eq!(served(&node, &strings).await, ["1", "2", "3", "4"]);
+        assert!(told.map(|error| (error.kind, error.message)).eq(expected), "{when_full:?}");
+        assert_eq!((hall.queued(), lost(&node)), (4, dropped), "{when_full:?}");
+        assert_eq!(served(&node, &strings).await, kept, "{when_full:?}");
+    }
 }
 
 #[blastema_testkit::test]

@@ -2,20 +2,14 @@
 
 use crate::scenarios::puppet::{Deed, Do, Strings, ask};
 use blastema::prelude::*;
-use blastema::{Direction, IsolateError, Link, MemoryMedium, Network, NodeBuilder};
+use blastema::{IsolateError, MemoryMedium, NodeBuilder};
 use blastema_testkit::TestNode;
-use std::time::Duration;
+use blastema_tests::{MS, meshed, plug_cable, pull_cable};
 
-const MS: Duration = Duration::from_millis(1);
 const NODES: [&str; 3] = ["module1", "module2", "module3"];
 
-/// Every node has a link of its own to every other.
 fn node(own: &str, medium: &MemoryMedium) -> NodeBuilder {
-    let mut network = Network::memory("ethernet", medium, own);
-    for far in NODES.iter().filter(|far| **far != own) {
-        network = network.link(Link::to(far, far));
-    }
-    Node::builder(own).network(network.with_faults(7))
+    meshed(own, &NODES, medium, 50 * MS)
 }
 
 struct Robot {
@@ -155,10 +149,9 @@ async fn a_strategy_isolates_a_node_whose_ladder_says_so_and_its_return_changes_
     let strings = Strings::default();
     let plan = || Plan::default().on(FaultKind::NodeLost, Ladder::first(RecoveryAction::Isolate));
     let robot = Robot::of(&strings, |own, medium| node(own, medium).plan(plan())).await;
-    let cable = robot.nodes[2].cable("ethernet").unwrap();
-    cable.cut(Direction::Both, false);
+    pull_cable(&robot.nodes[2]);
     robot.nodes[0].advance(5000 * MS).await;
-    cable.restore();
+    plug_cable(&robot.nodes[2]);
     robot.nodes[0].advance(5000 * MS).await;
 
     assert_eq!(robot.asks(1, 2).await, Ok(1));

@@ -2,11 +2,11 @@
 
 use blastema::prelude::*;
 use blastema::{
-    ActuatorSpec, Commander, Connected, Direction, Heartbeats, LostCommunicationPolicy,
-    MemoryMedium, NodeBuilder, Rung,
+    ActuatorSpec, Commander, Connected, Heartbeats, LostCommunicationPolicy, MemoryMedium,
+    NodeBuilder, Rung,
 };
 use blastema_testkit::{TestNode, now};
-use blastema_tests::on_ethernet;
+use blastema_tests::{on_ethernet, plug_cable, pull_cable};
 use std::cell::Cell;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -147,7 +147,7 @@ async fn a_robot_that_is_cut_off_holds_returns_and_stops_and_is_commanded_again_
     let (_beats, commander) = robot.operate().await;
     assert_eq!(robot.rung(), None);
 
-    robot.rover.cable("ethernet").unwrap().cut(Direction::Both, false);
+    pull_cable(&robot.rover);
     robot.lost_at = now();
     robot.rover.advance(100 * SECOND).await;
 
@@ -165,7 +165,7 @@ async fn a_robot_that_is_cut_off_holds_returns_and_stops_and_is_commanded_again_
     assert!(entry.fault.detail.ends_with("the robot begins to stop"), "{}", entry.fault.detail);
     assert_eq!(entry.fault.count, 4, "the loss and each rung");
 
-    robot.rover.cable("ethernet").unwrap().restore();
+    plug_cable(&robot.rover);
     robot.rover.advance(3 * SECOND).await;
     assert!(robot.rover.lost_communication()[0].is_back);
     let refused = commander.claim().await.unwrap_err();

@@ -21,6 +21,7 @@ mod initialization;
 mod isolation;
 mod last_hooks;
 mod lost_communication;
+mod message_log;
 mod names;
 mod networks;
 mod orders;

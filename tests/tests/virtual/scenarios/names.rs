@@ -2,13 +2,11 @@
 //! other, in virtual time.
 
 use blastema::prelude::*;
-use blastema::{
-    Claim, ClaimError, ClaimPolicy, ClaimState, Direction, Link, MemoryMedium, Network, NodeBuilder,
-};
+use blastema::{Claim, ClaimError, ClaimPolicy, ClaimState, MemoryMedium, NodeBuilder};
 use blastema_testkit::TestNode;
+use blastema_tests::{MS, meshed, plug_cable, pull_cable};
 use std::time::Duration;
 
-const MS: Duration = Duration::from_millis(1);
 const NODES: [&str; 3] = ["module1", "module2", "module3"];
 /// How often hellos are said in these tests.
 const HELLO: Duration = Duration::from_millis(50);
@@ -25,17 +23,28 @@ struct Where;
 #[contract(name = "map/boom")]
 struct Boom;
 
+/// Has the receiver end itself.
+#[derive(Clone, Debug, Event)]
+#[contract(name = "map/enough")]
+struct Enough;
+
 struct Map(&'static str);
 
 impl Component for Map {
     fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<Where>().accept::<Boom>();
+        ports.serve::<Where>().accept::<Boom>().accept::<Enough>();
     }
 }
 
 impl Handle<Where> for Map {
     async fn handle(&mut self, _: Where, cx: &mut Context<Self>) -> String {
         format!("{}{}", self.0, cx.incarnation())
+    }
+}
+
+impl Handle<Enough> for Map {
+    async fn handle(&mut self, _: Enough, cx: &mut Context<Self>) {
+        cx.stop();
     }
 }
 
@@ -50,11 +59,7 @@ fn map(on: &'static str) -> ChildSpec<Map> {
 }
 
 fn node(own: &str, medium: &MemoryMedium) -> NodeBuilder {
-    let mut network = Network::memory("ethernet", medium, own);
-    for far in NODES.iter().filter(|far| **far != own) {
-        network = network.link(Link::to(far, far).hello_every(HELLO));
-    }
-    Node::builder(own).network(network.with_faults(7))
+    meshed(own, &NODES, medium, HELLO)
 }
 
 struct Robot {
@@ -95,23 +100,19 @@ impl Robot {
         }
         answers
     }
-
-    fn cut(&self, node: usize) {
-        self.nodes[node].cable("ethernet").expect("a cable").cut(Direction::Both, false);
-    }
-
-    fn clear(&self, node: usize) {
-        self.nodes[node].cable("ethernet").expect("a cable").restore();
-    }
 }
 
 #[blastema_testkit::test]
-async fn what_is_sent_to_a_name_reaches_whoever_holds_it_from_every_node() {
+async fn what_is_sent_to_a_name_reaches_its_holder_and_a_second_claimant_is_told_who_that_is() {
     let robot = Robot::start().await;
     assert_eq!(robot.answers().await, ["the name map has no holder"; 3]);
 
     let claim = robot.claim(1, ClaimPolicy::Refuse).await.expect("it is free");
     assert_eq!(robot.answers().await, ["module2#1"; 3]);
+    for other in [0, 1, 2] {
+        let refused = robot.claim(other, ClaimPolicy::Refuse).await.expect_err("it is taken");
+        assert!(refused.to_string().contains("map is claimed by module2"), "{refused}");
+    }
 
     drop(claim);
     robot.advance(20 * MS).await;
@@ -122,24 +123,13 @@ async fn what_is_sent_to_a_name_reaches_whoever_holds_it_from_every_node() {
 }
 
 #[blastema_testkit::test]
-async fn a_second_claimant_is_told_who_has_the_name() {
-    let robot = Robot::start().await;
-    let _claim = robot.claim(1, ClaimPolicy::Refuse).await.expect("it is free");
-
-    for other in [0, 1, 2] {
-        let refused = robot.claim(other, ClaimPolicy::Refuse).await.expect_err("it is taken");
-        assert!(refused.to_string().contains("map is claimed by module2"), "{refused}");
-    }
-}
-
-#[blastema_testkit::test]
 async fn a_standby_has_the_name_when_the_lease_of_a_node_that_died_is_over() {
     let robot = Robot::start().await;
     let first = robot.claim(0, ClaimPolicy::Standby).await.expect("it is free");
     let mut second = robot.claim(1, ClaimPolicy::Standby).await.expect("it stands by");
     assert_eq!(second.state(), ClaimState::StandsBy);
 
-    robot.cut(0);
+    pull_cable(&robot.nodes[0]);
     robot.advance(LEASE / 2).await;
     assert_eq!(second.state(), ClaimState::StandsBy);
     robot.advance(LEASE / 2 + 20 * MS).await;
@@ -158,11 +148,11 @@ async fn of_two_halves_that_meet_the_later_claim_stays_and_the_other_is_a_fault(
         let mut watch = robot.nodes[0].watch_name("map").expect("it is a name");
         assert_eq!(watch.next().await.expect("it is held").node.as_str(), "module1");
         let second = robot.claim(1, ClaimPolicy::Standby).await.expect("it stands by");
-        robot.cut(0);
+        pull_cable(&robot.nodes[0]);
         robot.advance(2 * LEASE).await;
         assert!(first.epoch().is_some() && second.epoch().is_some(), "each half has one");
 
-        robot.clear(0);
+        plug_cable(&robot.nodes[0]);
         let fault = robot.nodes[0].await_fault(FaultKind::NameTaken, "net/directory").await;
 
         assert!(fault.detail.contains("the name map is lost to module2"), "{}", fault.detail);
@@ -229,7 +219,7 @@ async fn a_node_that_returns_does_not_take_its_name_back_by_force() {
     let Robot { medium, mut nodes } = robot;
     drop(first);
     let dead = nodes.remove(0);
-    dead.cable("ethernet").expect("a cable").cut(Direction::Both, false);
+    pull_cable(&dead);
     dead.shutdown().await;
     nodes[0].advance(2 * LEASE).await;
 
@@ -239,7 +229,8 @@ async fn a_node_that_returns_does_not_take_its_name_back_by_force() {
     again.advance(2 * LEASE).await;
 
     assert_eq!(again.holder("map").expect("it is held").node.as_str(), "module2");
-    nodes[0].expect_name_is_undisputed().await;
+    let record = nodes[0].faults().await;
+    assert!(record.entries.iter().all(|entry| entry.fault.kind != FaultKind::NameTaken));
 }
 
 /// See the manual's page on names: 9 hellos, 10 ms for what follows on a fast medium.
@@ -252,59 +243,22 @@ async fn after_joining_and_rejoining_names_are_known_within_the_stated_bound() {
     let Robot { medium, mut nodes } = robot;
 
     // A cable that is restored after its sessions have ended.
-    nodes[0].cable("ethernet").expect("a cable").cut(Direction::Both, false);
+    pull_cable(&nodes[0]);
     nodes[0].advance(20 * LEASE).await;
     assert_eq!(nodes[0].holder("map"), None);
-    nodes[0].cable("ethernet").expect("a cable").restore();
+    plug_cable(&nodes[0]);
     nodes[0].advance(JOINED).await;
     assert!(nodes[0].holder("map").is_some(), "rejoined");
 
     // A process that starts again.
     let gone = nodes.remove(0);
-    gone.cable("ethernet").expect("a cable").cut(Direction::Both, false);
+    pull_cable(&gone);
     gone.shutdown().await;
     let again = TestNode::start(node("module1", &medium).child(map("module1"))).await;
     again.advance(JOINED).await;
     assert!(again.holder("map").is_some(), "joined");
     let asked = again.sender::<Where>("*:map").expect("it is a name").ask(Where).await;
     assert_eq!(asked.expect("it answers"), "module2#1");
-}
-
-trait Undisputed {
-    async fn expect_name_is_undisputed(&self);
-}
-
-impl Undisputed for TestNode {
-    async fn expect_name_is_undisputed(&self) {
-        let record = self.faults().await;
-        let disputes = record.entries.iter().filter(|e| e.fault.kind == FaultKind::NameTaken);
-        assert_eq!(disputes.count(), 0);
-    }
-}
-
-/// Has the receiver end itself.
-#[derive(Clone, Debug, Event)]
-#[contract(name = "map/enough")]
-struct Enough;
-
-struct Brief;
-
-impl Component for Brief {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.accept::<Enough>().accept::<Boom>();
-    }
-}
-
-impl Handle<Enough> for Brief {
-    async fn handle(&mut self, _: Enough, cx: &mut Context<Self>) {
-        cx.stop();
-    }
-}
-
-impl Handle<Boom> for Brief {
-    async fn handle(&mut self, _: Boom, _: &mut Context<Self>) {
-        panic!("boom");
-    }
 }
 
 /// Whether the fault that a node goes without a name stands here, and its text.
@@ -322,7 +276,9 @@ async fn refused(restart: Restart) -> (TestNode, TestNode) {
     let holder = ChildSpec::new("map", || Map("module1")).claim("map", ClaimPolicy::Refuse);
     let first = TestNode::start(node("module1", &medium).child(holder)).await;
     first.advance(2000 * MS).await;
-    let brief = |name: &str| ChildSpec::new(name, || Brief).claim("map", ClaimPolicy::Refuse);
+    let brief = |name: &'static str| {
+        ChildSpec::new(name, move || Map(name)).claim("map", ClaimPolicy::Refuse)
+    };
     let second = node("module2", &medium).child_with(brief("brief"), restart);
     let second = TestNode::start(second.child_with(brief("other"), restart)).await;
     second.advance(2000 * MS).await;
@@ -398,10 +354,10 @@ async fn every_node_knows_the_objects_of_the_others_until_their_sessions_end() {
     robot.advance(210 * MS).await;
     assert_eq!(objects(&robot.nodes[0]), ["module2:plan", "module3:map"]);
 
-    robot.cut(0);
+    pull_cable(&robot.nodes[0]);
     robot.advance(20 * LEASE).await;
     assert_eq!(objects(&robot.nodes[0]), [""; 0]);
-    robot.clear(0);
+    plug_cable(&robot.nodes[0]);
     robot.advance(JOINED).await;
     assert_eq!(objects(&robot.nodes[0]), ["module2:plan", "module3:map"]);
 }

@@ -31,7 +31,8 @@ enum Grip {
 
 type Seen = Arc<Mutex<Vec<ArmParameters>>>;
 
-struct Arm(Seen);
+/// Takes this long to initialize.
+struct Arm(Seen, Duration);
 
 impl Component for Arm {
     fn ports(ports: &mut Ports<Self>) {
@@ -41,6 +42,7 @@ impl Component for Arm {
 
     async fn on_initialize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
         self.0.lock().unwrap().push(cx.parameters()?);
+        tokio::time::sleep(self.1).await;
         Ok(())
     }
 }
@@ -48,34 +50,6 @@ impl Component for Arm {
 impl Handle<ArmParameters> for Arm {
     async fn handle(&mut self, parameters: ArmParameters, _: &mut Context<Self>) {
         self.0.lock().unwrap().push(parameters);
-    }
-}
-
-/// The same, but that it takes a second to initialize.
-struct SlowArm(Seen);
-
-impl Component for SlowArm {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.parameters::<ArmParameters>();
-        ports.accept::<Blow>();
-    }
-
-    async fn on_initialize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.0.lock().unwrap().push(cx.parameters()?);
-        tokio::time::sleep(Duration::from_secs(1)).await;
-        Ok(())
-    }
-}
-
-impl Handle<ArmParameters> for SlowArm {
-    async fn handle(&mut self, parameters: ArmParameters, _: &mut Context<Self>) {
-        self.0.lock().unwrap().push(parameters);
-    }
-}
-
-impl Handle<Blow> for SlowArm {
-    async fn handle(&mut self, _: Blow, _: &mut Context<Self>) {
-        panic!("a blow");
     }
 }
 
@@ -88,10 +62,15 @@ impl Handle<Blow> for Arm {
     }
 }
 
-fn arm() -> (NodeBuilder, Seen) {
+fn arm_that_takes(takes: Duration) -> (ChildSpec<Arm>, Seen) {
     let seen = Seen::default();
     let kept = seen.clone();
-    (Node::builder("module1").child(ChildSpec::new("arm", move || Arm(kept.clone()))), seen)
+    (ChildSpec::new("arm", move || Arm(kept.clone(), takes)), seen)
+}
+
+fn arm() -> (NodeBuilder, Seen) {
+    let (spec, seen) = arm_that_takes(Duration::ZERO);
+    (Node::builder("module1").child(spec), seen)
 }
 
 fn speeds(seen: &Seen) -> Vec<f64> {
@@ -132,9 +111,7 @@ async fn parameters_have_their_defaults_unless_the_configuration_says_otherwise(
 /// By a description, whose values are texts, by a file, and while the component runs.
 #[blastema_testkit::test]
 async fn a_parameter_may_be_a_list_or_a_variant_by_its_name_wherever_it_is_given() {
-    let seen = Seen::default();
-    let kept = seen.clone();
-    let spec = ChildSpec::new("arm", move || Arm(kept.clone()));
+    let (spec, seen) = arm_that_takes(Duration::ZERO);
     let spec = spec.parameter("joints", "[0.5, -1] rad").parameter("grips", "[Firm,Soft]");
     let builder = Node::builder("module1").child(spec).parameters("[arm]\ngrip = \"Firm\"");
     let node = TestNode::start(builder).await;
@@ -173,9 +150,7 @@ async fn a_parameter_that_is_set_is_told_to_its_component_and_outlives_it() {
 /// Set one after the other while the next incarnation begins, which reads one of the first.
 #[blastema_testkit::test]
 async fn a_component_runs_with_the_newest_parameters_however_many_are_set_during_its_restart() {
-    let seen = Seen::default();
-    let kept = seen.clone();
-    let spec = ChildSpec::new("arm", move || SlowArm(kept.clone()));
+    let (spec, seen) = arm_that_takes(Duration::from_secs(1));
     let spec = spec.queue(8, WhenFull::Refuse);
     let mut node = TestNode::start(Node::builder("module1").child(spec)).await;
     let parameters = node.variable::<ArmParameters>("arm").unwrap();

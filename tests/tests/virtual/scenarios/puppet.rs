@@ -22,6 +22,8 @@ pub(crate) enum Pull {
     WaitFor(&'static str),
     /// It keeps its thread until the puppets are released.
     Block,
+    /// It watches this object.
+    Watch(&'static str),
 }
 
 /// What a puppet is asked to do, while it serves the request or afterwards.
@@ -135,8 +137,18 @@ impl Strings {
         self.diary().into_iter().filter(|line| line.contains(text)).collect()
     }
 
+    /// The first hooks of incarnations since the last look, and the last ones.
+    pub(crate) fn begins_and_ends(&self) -> Vec<String> {
+        let short = |line: String| {
+            line.strip_suffix(" on_initialize")
+                .map(|who| format!("+{who}"))
+                .or_else(|| line.strip_suffix(" on_finalize").map(|who| format!("-{who}")))
+        };
+        self.diary().into_iter().filter_map(short).collect()
+    }
+
     /// Keeps the thread, as a driver does that waits for a device.
-    fn block(&self) {
+    pub(crate) fn block(&self) {
         let mut inner = self.inner();
         while !inner.released {
             inner = self.0.1.wait(inner).unwrap_or_else(PoisonError::into_inner);
@@ -149,7 +161,7 @@ impl Strings {
         self.0.1.notify_all();
     }
 
-    fn write(&self, line: String) {
+    pub(crate) fn write(&self, line: String) {
         self.inner().diary.push(line);
     }
 
@@ -172,7 +184,7 @@ pub(crate) struct Puppet {
 }
 
 impl Puppet {
-    async fn act(&self, hook: &'static str, cx: &Context<Self>) -> Result<(), Failure> {
+    async fn act(&self, hook: &'static str, cx: &mut Context<Self>) -> Result<(), Failure> {
         let Puppet { name, strings } = self;
         if hook != "on_execute" {
             strings.write(format!("{name}{} {hook}", cx.incarnation()));
@@ -191,6 +203,7 @@ impl Puppet {
                 strings.block();
                 Ok(())
             }
+            Some(Pull::Watch(name)) => cx.watch(name).map_err(|error| error.to_string().into()),
             Some(Pull::WaitFor(line)) => {
                 while !strings.inner().diary.iter().any(|written| written == line) {
                     tokio::time::sleep(Duration::from_millis(5)).await;

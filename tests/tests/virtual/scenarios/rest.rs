@@ -9,10 +9,9 @@ use blastema::{
     RestartError, RestartedChild,
 };
 use blastema_testkit::TestNode;
+use blastema_tests::{MS, Notes, moves};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
-
-const MS: Duration = Duration::from_millis(1);
 
 /// A node that enters the safe state when a component needs more than one restart, and whom its
 /// outputs were called for.
@@ -279,39 +278,18 @@ async fn what_does_not_start_after_a_rest_brings_the_node_to_rest_again() {
 #[contract(name = "wheels/drive", reply = f32)]
 struct Drive(f32);
 
-struct Wheels(Arc<Mutex<Vec<f32>>>);
-
-impl Component for Wheels {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.actuator(ActuatorSpec::new(Drive(0.0), Hold).lease(Duration::from_secs(60)));
-    }
-}
-
-/// It is slow to stop.
-struct Arm;
-
-impl Component for Arm {
-    async fn on_shutdown(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
-        blastema::sleep(Duration::from_secs(4)).await;
-        Ok(())
-    }
-}
-
-impl Handle<Drive> for Wheels {
-    async fn handle(&mut self, drive: Drive, _: &mut Context<Self>) -> f32 {
-        self.0.lock().unwrap().push(drive.0);
-        drive.0
-    }
-}
-
 #[blastema_testkit::test]
 async fn the_safe_outputs_wait_for_no_component_to_stop_and_nobody_commands_any_more() {
-    let (strings, track) = (Strings::default(), Arc::new(Mutex::new(Vec::new())));
+    let (strings, track) = (Strings::default(), Notes::<f32>::default());
     let (builder, applied) = robot(&strings);
-    let turned = track.clone();
-    let wheels = ChildSpec::new("wheels", move || Wheels(turned.clone()));
-    // The last to start is the first to stop.
-    let arm = ChildSpec::new("arm", || Arm).shutdown_within(Duration::from_secs(10));
+    let safe = ActuatorSpec::new(Drive(0.0), Hold).lease(Duration::from_secs(60));
+    let wheels = moves("wheels", safe, track.clone(), |track, Drive(speed), _| {
+        track.note(speed);
+        speed
+    });
+    // The last to start is the first to stop, and it is slow.
+    let arm = strings.spec("arm").shutdown_within(Duration::from_secs(10));
+    strings.pull("arm", "on_shutdown", Pull::Wait(Duration::from_secs(4)));
     let node = TestNode::start(builder.child(wheels).child(arm)).await;
     let commander = node.commander::<Drive>("wheels", "console").unwrap();
     commander.claim().await.unwrap();
@@ -324,7 +302,7 @@ async fn the_safe_outputs_wait_for_no_component_to_stop_and_nobody_commands_any_
 
     assert!(matches!(node.state(), NodeState::InSafeState { .. }), "{:?}", node.state());
     assert_eq!(applied.lock().unwrap().len(), 1, "at once");
-    assert_eq!(*track.lock().unwrap(), [2.0, 0.0]);
+    assert_eq!(track.all(), [2.0, 0.0]);
     assert!(commander.command(Drive(3.0)).await.is_err());
     assert_eq!(commander.claim().await, Err(DeliveryError::Stopped));
 
@@ -333,6 +311,6 @@ async fn the_safe_outputs_wait_for_no_component_to_stop_and_nobody_commands_any_
     assert!(commander.command(Drive(4.0)).await.is_err(), "that lease has ended");
     commander.claim().await.unwrap();
     commander.command(Drive(5.0)).await.unwrap();
-    assert_eq!(track.lock().unwrap().last(), Some(&5.0));
+    assert_eq!(track.all().last(), Some(&5.0));
     assert_eq!(applied.lock().unwrap().len(), 1);
 }

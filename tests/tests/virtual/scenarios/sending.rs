@@ -4,6 +4,7 @@ use crate::scenarios::puppet::{Deed, Do, Note, Pull, Strings, ask, strike};
 use blastema::core::delivery::dead_letters::DeadReason;
 use blastema::prelude::*;
 use blastema_testkit::{Harness, TestNode, now};
+use blastema_tests::{Notes, part};
 use std::time::Duration;
 
 #[blastema_testkit::test]
@@ -104,38 +105,31 @@ async fn who_asks_somebody_that_asks_back_gets_a_deadline_and_not_a_knot() {
     assert_eq!(faults[0].fault.severity, blastema::Severity::Warning);
 }
 
-/// Hands out a sender that belongs to its present incarnation.
-struct Lender(std::sync::mpsc::SyncSender<Sender<Note>>);
-
-impl Component for Lender {
-    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        let arm = cx.sender::<Note>("arm").map_err(|why| why.to_string())?;
-        let _ = self.0.try_send(cx.detached(&arm));
-        Ok(())
-    }
-}
-
+/// Hands out a sender that belongs to the present incarnation, or dies.
 #[derive(Clone, Debug, Event)]
-struct Die;
-
-impl Handle<Die> for Lender {
-    async fn handle(&mut self, _: Die, _: &mut Context<Self>) {
-        panic!("as it was told");
-    }
+enum Lend {
+    Sender,
+    Die,
 }
 
 #[blastema_testkit::test]
 async fn what_a_thread_of_a_dead_incarnation_still_says_goes_nowhere() {
     let (strings, node) = Strings::robot(["arm"]).await;
-    let (lend, lent) = std::sync::mpsc::sync_channel(8);
-    let spec = ChildSpec::new("lender", move || Lender(lend.clone()));
+    let lent = Notes::<Sender<Note>>::default();
+    let spec = part("lender", lent.clone(), |lent, lend: Lend, cx| match lend {
+        Lend::Sender => lent.note(cx.detached(&cx.sender::<Note>("arm").expect("it is there"))),
+        Lend::Die => panic!("as it was told"),
+    });
     let lender = Harness::within(node, spec).await;
-    let first = lent.try_recv().expect("it lent one");
+    lender.tell(Lend::Sender).unwrap();
+    lender.settle().await;
+    let first = lent.take().remove(0);
     first.tell(Note(1)).expect("its incarnation lasts");
 
-    lender.tell(Die).unwrap();
+    lender.tell(Lend::Die).unwrap();
+    lender.tell(Lend::Sender).unwrap();
     lender.settle().await;
-    let second = lent.try_recv().expect("its next incarnation lent one");
+    let second = lent.take().remove(0);
 
     let refused = first.tell(Note(2)).expect_err("that incarnation is over");
     assert_eq!((refused.kind, refused.message), (DeliveryError::Fenced, Note(2)));

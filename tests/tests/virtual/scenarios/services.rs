@@ -2,10 +2,11 @@
 
 use blastema::prelude::*;
 use blastema::{
-    Direction, Fault, Link, MemoryMedium, Network, NodeBuilder, NodeState, OnPartition, Role,
-    ServiceSpec, StandbyKind, StartError, Stateful,
+    Fault, MemoryMedium, NodeBuilder, NodeState, OnPartition, Role, ServiceSpec, StandbyKind,
+    StartError, Stateful,
 };
 use blastema_testkit::{TestNode, now};
+use blastema_tests::{MS, meshed, plug_cable, pull_cable};
 use std::time::Duration;
 
 mod configurations;
@@ -15,7 +16,6 @@ mod shown;
 mod states;
 mod under_replication;
 
-const MS: Duration = Duration::from_millis(1);
 const MEMBERS: [&str; 3] = ["module1", "module2", "module3"];
 
 /// Adds so many, and answers the sum.
@@ -63,15 +63,21 @@ fn counter(kind: StandbyKind) -> ServiceSpec<Counter> {
     ServiceSpec::new("counter", MEMBERS, Counter::default).standby(kind).heartbeat_every(10 * MS)
 }
 
-/// Every node has a link of its own to every other.
+/// A node with a link of its own to every other.
 fn node(own: &str, medium: &MemoryMedium) -> NodeBuilder {
-    let mut network = Network::memory("ethernet", medium, own);
-    for far in ["module0"].iter().chain(&MEMBERS).filter(|far| **far != own) {
-        network = network.link(Link::to(far, far).hello_every(10 * MS));
-    }
+    let all = ["module0", "module1", "module2", "module3"];
     // A member whose replica fails too often comes to rest as a whole.
-    let builder = Node::builder(own).when_exceeded(WhenExceeded::Escalate);
-    builder.network(network.with_faults(7))
+    meshed(own, &all, medium, 10 * MS).when_exceeded(WhenExceeded::Escalate)
+}
+
+fn serves(node: &TestNode, service: &str) -> bool {
+    matches!(node.service_role(service), Some(Role::Primary { .. }))
+}
+
+/// The names of the nodes that serve.
+fn serving(nodes: &[TestNode]) -> Vec<&str> {
+    let serving = nodes.iter().filter(|node| serves(node, "counter"));
+    serving.map(|node| node.name().as_str()).collect()
 }
 
 struct Robot {
@@ -98,9 +104,7 @@ impl Robot {
     }
 
     fn serving(&self) -> Vec<&str> {
-        let serves =
-            |node: &&TestNode| matches!(node.service_role("counter"), Some(Role::Primary { .. }));
-        self.members.iter().filter(serves).map(|node| node.name().as_str()).collect()
+        serving(&self.members)
     }
 
     fn primary(&self) -> usize {
@@ -115,11 +119,11 @@ impl Robot {
     }
 
     fn cut(&self, member: usize) {
-        self.members[member].cable("ethernet").expect("a cable").cut(Direction::Both, false);
+        pull_cable(&self.members[member]);
     }
 
     fn mend(&self, member: usize) {
-        self.members[member].cable("ethernet").expect("a cable").restore();
+        plug_cable(&self.members[member]);
     }
 }
 
@@ -242,22 +246,7 @@ async fn a_node_at_safe_rest_gives_its_service_away_at_once() {
         assert_eq!(robot.add(5).await, Ok(5));
         let first = robot.primary();
         let own = &robot.members[first];
-        for _ in 0..20 {
-            let serves = matches!(own.service_role("counter"), Some(Role::Primary { .. }));
-            if matches!(own.state(), NodeState::InSafeState { .. }) {
-                break;
-            }
-            if serves {
-                let killed = robot.add(1000).await;
-                assert!(killed.is_err(), "{kind:?}: {killed:?}");
-            } else {
-                // Its component is not needed to serve to bring the node to rest.
-                let component = own.sender::<Add>("counter/replica").unwrap();
-                let _ = component.ask(Add(1000)).await;
-            }
-            robot.asker.advance(MS).await;
-        }
-        assert!(matches!(own.state(), NodeState::InSafeState { .. }), "{kind:?}");
+        under_replication::bring_to_rest(own).await;
 
         robot.asker.advance(30 * MS).await;
         let follower = robot.primary();
@@ -293,27 +282,25 @@ async fn with_cold_standbys_the_next_begins_afresh() {
 #[blastema_testkit::test]
 async fn half_a_robot_serves_only_if_it_is_configured_to() {
     for (on_partition, expected) in [(OnPartition::Stop, 0), (OnPartition::Continue, 2)] {
-        let both = ["module1", "module2"];
+        let names = ["module1", "module2"];
         let spec = move || {
-            let spec = ServiceSpec::new("counter", both, Counter::default);
+            let spec = ServiceSpec::new("counter", names, Counter::default);
             spec.on_partition(on_partition).heartbeat_every(10 * MS)
         };
         let medium = MemoryMedium::default();
         let one = TestNode::start(node("module1", &medium).service(spec())).await;
         let other = TestNode::start(node("module2", &medium).service(spec())).await;
         one.advance(2000 * MS).await;
-        let serving = |node: &TestNode| {
-            u32::from(matches!(node.service_role("counter"), Some(Role::Primary { .. })))
-        };
-        assert_eq!(serving(&one) + serving(&other), 1);
+        let both = [one, other];
+        assert_eq!(serving(&both).len(), 1);
 
-        one.cable("ethernet").unwrap().cut(Direction::Both, false);
-        one.advance(500 * MS).await;
-        assert_eq!(serving(&one) + serving(&other), expected, "{on_partition:?}");
+        pull_cable(&both[0]);
+        both[0].advance(500 * MS).await;
+        assert_eq!(serving(&both).len(), expected, "{on_partition:?}");
 
-        one.cable("ethernet").unwrap().restore();
-        one.advance(3000 * MS).await;
-        assert_eq!(serving(&one) + serving(&other), 1, "{on_partition:?}");
+        plug_cable(&both[0]);
+        both[0].advance(3000 * MS).await;
+        assert_eq!(serving(&both).len(), 1, "{on_partition:?}");
     }
 }
 
@@ -333,9 +320,7 @@ async fn a_service_follows_those_that_it_depends_on() {
     for _ in 0..3000 {
         members[0].advance(MS).await;
         for name in ["map", "counter"] {
-            let serves =
-                |node: &TestNode| matches!(node.service_role(name), Some(Role::Primary { .. }));
-            if members.iter().any(serves) && !order.contains(&name) {
+            if members.iter().any(|node| serves(node, name)) && !order.contains(&name) {
                 order.push(name);
             }
         }
@@ -363,16 +348,12 @@ async fn a_service_of_other_nodes_is_waited_for_before_a_standby_takes_over() {
         TestNode::start(node("module2", &medium).service(map()).service(counter())).await,
         TestNode::start(node("module3", &medium).service(counter())).await,
     ];
-    let primary = |nodes: &[TestNode], name: &str| {
-        let serves =
-            |node: &TestNode| matches!(node.service_role(name), Some(Role::Primary { .. }));
-        nodes.iter().position(serves)
-    };
+    let primary = |nodes: &[TestNode], name: &str| nodes.iter().position(|node| serves(node, name));
     nodes[0].advance(2000 * MS).await;
     assert_eq!([primary(&nodes, "map"), primary(&nodes, "counter")], [Some(1), Some(1)]);
 
     let both = nodes.remove(1);
-    both.cable("ethernet").unwrap().cut(Direction::Both, false);
+    pull_cable(&both);
     let cut_at = now();
     while primary(&nodes, "counter").is_none() {
         nodes[0].advance(MS).await;
@@ -387,37 +368,27 @@ async fn a_service_of_other_nodes_is_waited_for_before_a_standby_takes_over() {
 }
 
 #[blastema_testkit::test]
-async fn services_that_wait_for_each_other_are_refused_at_the_start() {
-    let medium = MemoryMedium::default();
-    let map = ServiceSpec::new("map", MEMBERS, Counter::default).depends_on(["counter"]);
-    let carried = node("module1", &medium).service(counter(StandbyKind::Warm).depends_on(["map"]));
-    let refused = TestNode::try_start(carried.service(map)).await;
-    let Err(StartError::Service { reason, .. }) = refused else { panic!("they would never serve") };
-    assert!(reason.contains("depends on itself"), "{reason}");
-}
-
-#[blastema_testkit::test]
 async fn a_service_that_is_described_wrongly_is_refused_at_the_start() {
-    let elsewhere = ServiceSpec::new("counter", ["module8", "module9"], Counter::default);
-    let refused = TestNode::try_start(Node::builder("module1").service(elsewhere)).await;
-    assert!(matches!(refused, Err(StartError::Service { .. })));
-    let twice = ServiceSpec::new("counter", ["module1", "module1"], Counter::default);
-    let refused = TestNode::try_start(Node::builder("module1").service(twice)).await;
-    let Err(StartError::Service { reason, .. }) = refused else { panic!("it stands there twice") };
-    assert!(reason.contains("twice"), "{reason}");
-    for interval in [Duration::ZERO, Duration::from_micros(999), Duration::from_secs(3601)] {
-        let spec =
-            ServiceSpec::new("counter", ["module1"], Counter::default).heartbeat_every(interval);
-        let refused = TestNode::try_start(Node::builder("module1").service(spec)).await;
-        let Err(StartError::Service { reason, .. }) = refused else { panic!("every {interval:?}") };
-        assert!(
-            reason.contains("from 1ms to 3600s") && reason.contains("heartbeat_every"),
-            "{reason}"
-        );
-    }
     let names: Vec<_> = (1..=8).map(|n| format!("module{n}")).collect();
-    let all = ServiceSpec::new("counter", names.iter().map(String::as_str), Counter::default);
-    let refused = TestNode::try_start(Node::builder("module1").service(all)).await;
-    let Err(StartError::Service { reason, .. }) = refused else { panic!("they are too many") };
-    assert!(reason.contains("8 nodes") && reason.contains("7 at most"), "{reason}");
+    let many: Vec<_> = names.iter().map(String::as_str).collect();
+    let on =
+        |members: &[&str]| ServiceSpec::new("counter", members.iter().copied(), Counter::default);
+    let every = |interval| {
+        (on(&["module1"]).heartbeat_every(interval), "heartbeat_every(..) from 1ms to 3600s")
+    };
+    for (spec, expected) in [
+        (on(&MEMBERS).depends_on(["map"]), "depends on itself"),
+        (on(&["module8", "module9"]), "module1 is none of its nodes"),
+        (on(&["module1", "module1"]), "twice"),
+        every(Duration::ZERO),
+        every(Duration::from_micros(999)),
+        every(Duration::from_secs(3601)),
+        (on(&many), "8 nodes cannot carry it, 7 at most"),
+    ] {
+        let map = ServiceSpec::new("map", MEMBERS, Counter::default).depends_on(["counter"]);
+        let carried = Node::builder("module1").service(spec).service(map);
+        let refused = TestNode::try_start(carried).await;
+        let Err(StartError::Service { reason, .. }) = refused else { panic!("{expected}") };
+        assert!(reason.contains(expected), "{expected}: {reason}");
+    }
 }

@@ -1,6 +1,6 @@
 //! Objects that give no sign of life, or wait for ever, while their arbiter turns.
 
-use crate::scenarios::puppet::{Deed, Do, Note, Pull, Strings, ask, incarnation};
+use crate::scenarios::puppet::{Deed, Do, Note, Pull, Strings, incarnation};
 use blastema::Incarnation;
 use blastema::core::detection::Opinion;
 use blastema::prelude::*;
@@ -17,21 +17,14 @@ async fn sweeping(strings: &Strings) -> TestNode {
 }
 
 #[blastema_testkit::test]
-async fn an_object_that_gives_its_signs_is_trusted() {
-    let node = sweeping(&Strings::default()).await;
-
+async fn an_object_that_gives_its_signs_is_trusted_and_a_silent_one_found_in_time_and_replaced() {
+    let strings = Strings::default();
+    let mut node = sweeping(&strings).await;
     node.advance(HOUR / 60).await;
-
     node.expect_no_faults().await;
     let row = node.row("laser").await;
     assert_eq!((row.opinion, row.suspicions, row.restarts), (Opinion::Trusted, 0, 0), "{row:?}");
-}
-
-#[blastema_testkit::test]
-async fn a_silent_object_is_found_within_its_tolerance_and_replaced() {
-    let strings = Strings::default();
-    let mut node = sweeping(&strings).await;
-    node.advance(1050 * MS).await;
+    node.advance(50 * MS).await;
     strings.pull("laser", "on_execute", Pull::Wait(HOUR));
     let (start, last_sign) = (now(), 50 * MS);
 
@@ -93,11 +86,15 @@ async fn a_handler_that_waits_for_ever_is_a_hang_and_its_queue_goes_to_the_next_
 }
 
 #[blastema_testkit::test]
-async fn a_long_operation_that_was_announced_is_no_hang() {
+async fn an_object_that_waits_and_answers_is_trusted_and_an_announced_operation_is_no_hang() {
     let strings = Strings::default();
     let spec = strings.spec("arm").max_wait(2000 * MS).liveness(Liveness::pull(100 * MS, 100 * MS));
     let mut node = TestNode::start(Node::builder("module1").child(spec)).await;
     let arm = node.sender::<Do>("arm").unwrap();
+    arm.tell(Do(Deed::Await(800))).unwrap();
+    node.advance(700 * MS).await;
+    let row = node.row("arm").await;
+    assert_eq!((row.opinion, row.suspicions), (Opinion::Trusted, 0), "{row:?}");
 
     let answer = arm.ask_within(Do(Deed::AwaitAsAnnounced(20_000)), HOUR).await;
     assert_eq!(answer.unwrap(), 1);
@@ -106,21 +103,6 @@ async fn a_long_operation_that_was_announced_is_no_hang() {
     let answer = arm.ask_within(Do(Deed::Await(20_000)), HOUR).await;
     assert!(answer.is_err(), "unannounced, it is one");
     node.await_fault(FaultKind::Hang, "arm").await;
-}
-
-#[blastema_testkit::test]
-async fn an_object_that_is_asked_and_answers_is_trusted_even_while_it_waits() {
-    let strings = Strings::default();
-    let spec = strings.spec("arm").liveness(Liveness::pull(100 * MS, 100 * MS));
-    let node = TestNode::start(Node::builder("module1").child(spec)).await;
-    node.sender("arm").unwrap().tell(Do(Deed::Await(800))).unwrap();
-
-    node.advance(700 * MS).await;
-
-    let row = node.row("arm").await;
-    assert_eq!((row.opinion, row.suspicions), (Opinion::Trusted, 0), "{row:?}");
-    assert_eq!(ask(&node, "arm", Deed::Nothing).await.unwrap(), 1);
-    node.expect_no_faults().await;
 }
 
 #[blastema_testkit::test]

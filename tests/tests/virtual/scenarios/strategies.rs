@@ -111,7 +111,7 @@ async fn a_ladder_that_is_exhausted_ends_in_safe_rest() {
 }
 
 #[blastema_testkit::test]
-async fn an_isolated_object_neither_sends_nor_receives_but_lives() {
+async fn an_isolated_object_neither_sends_nor_receives_but_lives_until_it_is_restarted() {
     let strings = Strings::default();
     let ladder = Ladder::first(RecoveryAction::Isolate);
     let builder = robot(&strings, ladder).child(strings.spec("ear"));
@@ -134,6 +134,18 @@ async fn an_isolated_object_neither_sends_nor_receives_but_lives() {
     assert!(node.row("joint").await.isolated);
     assert!(node.tree().await.unwrap().children[0].isolated);
     assert_eq!(strings.lines("joint#1 on_finalize"), [""; 0], "its incarnation goes on");
+
+    node.kill("joint");
+    node.await_recovered(FaultKind::Panic, "joint").await;
+    // Its second incarnation works, and is isolated as the first was.
+    let refused = ask(&node, "joint", Deed::Nothing).await.unwrap_err().kind;
+    assert!(matches!(refused, DeliveryError::Isolated { .. }), "{refused}");
+    let record = node.faults().await;
+    let contained = record.entries.iter().find(|entry| entry.fault.kind == oil());
+    assert_eq!(contained.map(|entry| entry.status()), Some(FaultStatus::GivenUp), "{record:?}");
+    node.restart_child("joint").await.unwrap();
+    node.await_recovered(oil(), "joint").await;
+    assert_eq!(incarnation(&node, "joint").await, 3);
 }
 
 #[blastema_testkit::test]
@@ -150,26 +162,4 @@ async fn safe_stop_applies_the_safe_outputs_even_if_they_panic() {
     assert_eq!(node.tree().await.unwrap().children[0].state, ChildState::Resting);
     strike(&node, "ear").await;
     assert_eq!(incarnation(&node, "ear").await, 2, "the chain is unharmed");
-}
-
-#[blastema_testkit::test]
-async fn what_isolation_contains_stands_until_the_component_may_be_reached_again() {
-    let strings = Strings::default();
-    let mut node = TestNode::start(robot(&strings, Ladder::first(RecoveryAction::Isolate))).await;
-    declare(&node).await;
-    node.await_given_up(oil(), "joint").await;
-
-    node.kill("joint");
-    node.await_recovered(FaultKind::Panic, "joint").await;
-
-    // Its second incarnation works, and is isolated as the first was.
-    let refused = ask(&node, "joint", Deed::Nothing).await.unwrap_err().kind;
-    assert!(matches!(refused, DeliveryError::Isolated { .. }), "{refused}");
-    let record = node.faults().await;
-    let contained = record.entries.iter().find(|entry| entry.fault.kind == oil());
-    assert_eq!(contained.map(|entry| entry.status()), Some(FaultStatus::GivenUp), "{record:?}");
-
-    node.restart_child("joint").await.unwrap();
-    node.await_recovered(oil(), "joint").await;
-    assert_eq!(incarnation(&node, "joint").await, 3);
 }

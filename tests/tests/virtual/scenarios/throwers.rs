@@ -39,11 +39,23 @@ impl Drop for Bomb {
     }
 }
 
+/// Asks for a bomb, which explodes where it is not taken.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "test/fetch", reply = Bomb)]
+struct Fetch;
+
 struct Depot;
 
 impl Component for Depot {
     fn ports(ports: &mut Ports<Self>) {
-        ports.accept::<Bomb>();
+        ports.accept::<Bomb>().serve::<Fetch>();
+    }
+}
+
+impl Handle<Fetch> for Depot {
+    async fn handle(&mut self, _: Fetch, _: &mut Context<Self>) -> Bomb {
+        tokio::time::sleep(Duration::from_millis(500)).await;
+        armed()
     }
 }
 
@@ -164,53 +176,20 @@ async fn timers_and_tasks_whose_drops_panic_end_with_their_incarnation_and_are_n
     assert_eq!(node.state(), NodeState::Running);
 }
 
-/// A reply that explodes where it is not taken.
-#[derive(Clone, Debug, Structure)]
-struct Shell {
-    armed: bool,
-}
-
-impl Drop for Shell {
-    fn drop(&mut self) {
-        if self.armed && !std::thread::panicking() {
-            panic!("a dud");
-        }
-    }
-}
-
-#[derive(Clone, Debug, Request)]
-#[contract(name = "test/fetch", reply = Shell)]
-struct Fetch;
-
-struct Magazine;
-
-impl Component for Magazine {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<Fetch>();
-    }
-}
-
-impl Handle<Fetch> for Magazine {
-    async fn handle(&mut self, _: Fetch, _: &mut Context<Self>) -> Shell {
-        tokio::time::sleep(Duration::from_millis(500)).await;
-        Shell { armed: true }
-    }
-}
-
 #[blastema_testkit::test]
 async fn a_reply_whose_drop_panics_when_nobody_waits_is_the_callees_panic() {
     let strings = Strings::default();
     let builder = Node::builder("module1")
-        .child(ChildSpec::new("magazine", || Magazine))
+        .child(ChildSpec::new("depot", || Depot))
         .child(strings.spec("arm"));
     let mut node = TestNode::start(builder).await;
 
-    let fetch = node.sender::<Fetch>("magazine").unwrap();
+    let fetch = node.sender::<Fetch>("depot").unwrap();
     let late = fetch.ask_within(Fetch, Duration::from_millis(100)).await.expect_err("too slow");
     assert_eq!(late.kind, DeliveryError::DeadlinePassed);
 
-    let fault = node.await_fault(FaultKind::Panic, "magazine").await;
-    assert!(fault.detail.starts_with("a dud"), "{}", fault.detail);
-    node.await_recovered(FaultKind::Panic, "magazine").await;
+    let fault = node.await_fault(FaultKind::Panic, "depot").await;
+    assert!(fault.detail.starts_with("boom"), "{}", fault.detail);
+    node.await_recovered(FaultKind::Panic, "depot").await;
     assert_eq!(incarnation(&node, "arm").await, 1);
 }

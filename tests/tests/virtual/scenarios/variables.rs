@@ -1,9 +1,9 @@
 //! Variables of objects here and on another node, in virtual time.
 
 use blastema::prelude::*;
-use blastema::{Direction, MemoryMedium, RestoreDecision, RestorePolicy, Transaction, ValueState};
+use blastema::{MemoryMedium, RestoreDecision, RestorePolicy, Transaction, ValueState};
 use blastema_testkit::TestNode;
-use blastema_tests::{MS, Notes, on_ethernet};
+use blastema_tests::{MS, Notes, on_ethernet, plug_cable, pull_cable};
 
 #[derive(Clone, Debug, PartialEq, Variable)]
 #[contract(name = "arm/speed")]
@@ -41,10 +41,9 @@ impl Component for Arm {
 }
 
 /// The arm's node, and another one.
-async fn two_nodes() -> (TestNode, TestNode) {
-    let medium = MemoryMedium::default();
-    let here = TestNode::start(on_ethernet("module1", "module2", &medium)).await;
-    let arm = on_ethernet("module2", "module1", &medium).child(ChildSpec::new("arm", || Arm));
+async fn two_nodes(medium: &MemoryMedium) -> (TestNode, TestNode) {
+    let here = TestNode::start(on_ethernet("module1", "module2", medium)).await;
+    let arm = on_ethernet("module2", "module1", medium).child(ChildSpec::new("arm", || Arm));
     let there = TestNode::start(arm).await;
     here.advance(2000 * MS).await;
     (here, there)
@@ -52,7 +51,7 @@ async fn two_nodes() -> (TestNode, TestNode) {
 
 #[blastema_testkit::test]
 async fn variables_are_read_written_and_checked_alike_here_and_on_another_node() {
-    let (here, there) = two_nodes().await;
+    let (here, there) = two_nodes(&MemoryMedium::default()).await;
 
     for (node, name) in [(&there, "arm"), (&there, "module2:arm"), (&here, "module2:arm")] {
         let (speed, height) =
@@ -95,7 +94,7 @@ async fn what_is_no_variable_or_another_one_is_told_so() {
     #[contract(name = "arm/colour")]
     struct Colour(u8);
 
-    let (here, there) = two_nodes().await;
+    let (here, there) = two_nodes(&MemoryMedium::default()).await;
     let other = OtherSpeed { wheel: "left".into() };
     assert_eq!(other.wheel, "left");
 
@@ -113,6 +112,10 @@ async fn what_is_no_variable_or_another_one_is_told_so() {
     }
     let nowhere = here.variable::<Speed>("module9:arm").unwrap().read().await;
     assert!(matches!(nowhere, Err(DeliveryError::Unreachable { .. })), "{nowhere:?}");
+    let mut colour = here.variable::<Colour>("module2:arm").unwrap().watch();
+    assert!(matches!(colour.next().await, Err(DeliveryError::NoVariable { .. })));
+    let mut nothing = here.variable::<Speed>("module2:lag").unwrap().watch();
+    assert!(matches!(nothing.next().await, Err(DeliveryError::Unknown { .. })));
     let apart = Transaction::new()
         .write(&here.variable::<Speed>("module2:arm").unwrap(), Speed(1.0))
         .write(&here.variable::<Speed>("module9:arm").unwrap(), Speed(1.0));
@@ -121,7 +124,7 @@ async fn what_is_no_variable_or_another_one_is_told_so() {
 
 #[blastema_testkit::test]
 async fn each_variable_becomes_what_was_declared_when_its_owner_dies() {
-    let (here, mut there) = two_nodes().await;
+    let (here, mut there) = two_nodes(&MemoryMedium::default()).await;
     let speed = here.variable::<Speed>("module2:arm").unwrap();
     let height = here.variable::<Height>("module2:arm").unwrap();
     let target = here.variable::<Target>("module2:arm").unwrap();
@@ -157,40 +160,21 @@ async fn each_variable_becomes_what_was_declared_when_its_owner_dies() {
     ));
 }
 
-/// Notes every speed that it hears of, and the errors.
-struct Console(Notes<String>);
-
-impl Component for Console {
-    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        let (speed, heard) = (cx.variable::<Speed>("module2:arm")?, self.0.clone());
-        cx.spawn(async move {
-            let mut watch = speed.watch();
-            loop {
-                let (told, is_over) = match watch.next().await {
-                    Ok(reading) => (reading.value.0.to_string(), false),
-                    Err(why) => (why.to_string(), true),
-                };
-                heard.note(told);
-                if is_over {
-                    return;
-                }
-            }
-        });
-        Ok(())
-    }
-}
-
 #[blastema_testkit::test]
 async fn a_watcher_hears_of_every_change_and_after_a_cut_of_what_is_true_then() {
-    let heard = Notes::<String>::default();
-    let kept = heard.clone();
     let medium = MemoryMedium::default();
-    let console = ChildSpec::new("console", move || Console(kept.clone()));
-    let here = TestNode::start(on_ethernet("module1", "module2", &medium).child(console)).await;
-    let arm = on_ethernet("module2", "module1", &medium).child(ChildSpec::new("arm", || Arm));
-    let there = TestNode::start(arm).await;
-    here.advance(2000 * MS).await;
+    let (here, there) = two_nodes(&medium).await;
+    let heard = Notes::<String>::default();
+    let mut watch = here.variable::<Speed>("module2:arm").unwrap().watch();
+    let kept = heard.clone();
+    tokio::task::spawn_local(async move {
+        while let Ok(reading) = watch.next().await {
+            kept.note(reading.value.0.to_string());
+        }
+        kept.note("the watch has ended");
+    });
     let speed = there.variable::<Speed>("arm").unwrap();
+    here.advance(50 * MS).await;
 
     for value in [1.0, 1.5] {
         speed.write(Speed(value)).await.unwrap();
@@ -201,11 +185,11 @@ async fn a_watcher_hears_of_every_change_and_after_a_cut_of_what_is_true_then() 
     here.advance(50 * MS).await;
     assert_eq!(*heard.lock(), ["0.5", "1", "1.5", "1.75"]);
 
-    here.cable("ethernet").unwrap().cut(Direction::Both, false);
+    pull_cable(&here);
     here.advance(5000 * MS).await;
     speed.write(Speed(0.25)).await.unwrap();
     speed.write(Speed(0.75)).await.unwrap();
-    here.cable("ethernet").unwrap().restore();
+    plug_cable(&here);
     here.advance(5000 * MS).await;
     assert_eq!(heard.lock()[4..], ["0.75"]);
 
@@ -219,16 +203,4 @@ async fn a_watcher_hears_of_every_change_and_after_a_cut_of_what_is_true_then() 
     let _there = TestNode::start(arm).await;
     here.advance(5000 * MS).await;
     assert_eq!(heard.lock()[5..], ["0.5"]);
-}
-
-#[blastema_testkit::test]
-async fn a_watch_of_what_never_will_be_there_says_so() {
-    #[derive(Clone, Debug, Variable)]
-    struct Colour(u32);
-
-    let (here, _there) = two_nodes().await;
-    let mut colour = here.variable::<Colour>("module2:arm").unwrap().watch();
-    assert!(matches!(colour.next().await, Err(DeliveryError::NoVariable { .. })));
-    let mut nothing = here.variable::<Speed>("module2:lag").unwrap().watch();
-    assert!(matches!(nothing.next().await, Err(DeliveryError::Unknown { .. })));
 }

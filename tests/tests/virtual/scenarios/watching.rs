@@ -1,11 +1,10 @@
 //! Death watch of supervisors, of the middleware's own objects, and of objects of other nodes.
 
-use crate::scenarios::puppet::{Deed, Do, Strings, ask, strike};
+use crate::scenarios::puppet::{Deed, Do, Pull, Strings, ask, strike};
+use blastema::MemoryMedium;
 use blastema::prelude::*;
-use blastema::{Direction, Down, MemoryMedium};
 use blastema_testkit::TestNode;
-use blastema_tests::on_ethernet;
-use std::sync::{Arc, Mutex};
+use blastema_tests::{on_ethernet, plug_cable, pull_cable};
 use std::time::Duration;
 
 const SECOND: Duration = Duration::from_secs(1);
@@ -44,15 +43,6 @@ impl Robot {
     async fn watched(&self) -> Vec<String> {
         self.module1.advance(SECOND).await;
         self.strings.lines("watched")
-    }
-
-    fn cut(&self) {
-        let cable = self.module1.cable("ethernet").expect("it was described with faults");
-        cable.cut(Direction::Both, false);
-    }
-
-    fn clear(&self) {
-        self.module1.cable("ethernet").expect("it was described with faults").restore();
     }
 }
 
@@ -130,10 +120,10 @@ async fn who_watches_an_object_of_a_node_that_cannot_be_reached_is_told_each_tim
     assert!(nowhere[0].starts_with("watcher#1 watched module9:laser#0: NodeLost"), "{nowhere:?}");
 
     for _ in 0..3 {
-        robot.cut();
+        pull_cable(&robot.module1);
         robot.module1.advance(20 * SECOND).await;
         let lost = robot.watched().await;
-        robot.clear();
+        plug_cable(&robot.module1);
         robot.module1.advance(10 * SECOND).await;
         let back = robot.watched().await;
         assert_eq!(lost.len(), 1, "{lost:?}");
@@ -172,7 +162,7 @@ async fn an_end_in_an_outage_or_right_after_it_is_told_and_its_incarnation_count
                 robot.watch("module2:laser").await;
                 assert_eq!(robot.watched().await, [""; 0], "it lives");
             }
-            robot.cut();
+            pull_cable(&robot.module1);
             robot.module1.advance(outage).await;
             if !since {
                 robot.watch("module2:laser").await;
@@ -186,7 +176,7 @@ async fn an_end_in_an_outage_or_right_after_it_is_told_and_its_incarnation_count
                     robot.module1.advance(SECOND / 50).await;
                 }
             }
-            robot.clear();
+            plug_cable(&robot.module1);
             match ends {
                 Ends::Within(_) => {}
                 Ends::BeforeTheSession => last = stop().await,
@@ -240,45 +230,23 @@ async fn an_end_right_after_the_start_of_the_next_process_of_its_node_is_told() 
     }
 }
 
-/// Watches a supervisor from its first hook on.
-struct Sentinel(Arc<Mutex<Vec<String>>>);
-
-impl Component for Sentinel {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.accept::<Down>();
-    }
-
-    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        cx.watch("group").map_err(|error| error.to_string().into())
-    }
-}
-
-impl Handle<Down> for Sentinel {
-    async fn handle(&mut self, down: Down, _: &mut Context<Self>) {
-        self.0
-            .lock()
-            .unwrap()
-            .push(format!("{}{}: {:?}", down.object, down.incarnation, down.ending));
-    }
-}
-
 #[blastema_testkit::test]
 async fn a_supervisor_that_starts_later_is_not_alive_yet_and_its_end_is_told() {
-    let (strings, told) = (Strings::default(), Arc::<Mutex<Vec<String>>>::default());
+    let strings = Strings::default();
     let group = SupervisorSpec::new("group", Strategy::OneForOne)
         .intensity(0, SECOND)
         .when_exceeded(WhenExceeded::Escalate)
         .child(strings.spec("arm"));
-    let kept = told.clone();
-    let sentinel = ChildSpec::new("sentinel", move || Sentinel(kept.clone()));
-    let builder = Node::builder("module1").child(sentinel).supervisor(group);
+    strings.pull("watcher", "on_activated", Pull::Watch("group"));
+    let builder = Node::builder("module1").child(strings.spec("watcher")).supervisor(group);
     let node = TestNode::start(builder).await;
     node.advance(SECOND).await;
 
     strike(&node, "arm").await;
     node.advance(SECOND).await;
 
-    assert_eq!(*told.lock().unwrap(), ["group#0: NotAlive", "group#1: Fatal"]);
+    let told = ["group#0: NotAlive", "group#1: Fatal"];
+    assert_eq!(strings.lines("watched"), told.map(|told| format!("watcher#1 watched {told}")));
 }
 
 #[blastema_testkit::test]

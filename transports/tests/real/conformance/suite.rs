@@ -8,6 +8,7 @@ struct Hung;
 impl Actor for Hung {
     type Context = Context<Self>;
 
+    #[expect(clippy::disallowed_methods, reason = "it is to hang")]
     fn started(&mut self, context: &mut Context<Self>) {
         context.wait(actix::fut::wrap_future(std::future::pending()));
     }

@@ -68,31 +68,6 @@ fn a_hang_is_named_fenced_and_replaced_and_its_neighbours_resume() {
     });
 }
 
-#[test]
-fn neighbours_of_a_hang_that_does_not_return_are_moved_with_their_queues() {
-    let _turn = blastema_doubles::turn();
-    blastema::run(async {
-        let strings = Strings::default();
-        let mut node = start(robot(&strings).grace(Duration::from_millis(100))).await;
-        node.sender("arm").unwrap().tell(Do(Deed::Block("ear".into()))).unwrap();
-
-        let root = node.await_fault(FaultKind::Hang, "arm").await;
-        node.sender("leg").unwrap().tell(Note(1)).unwrap();
-        node.await_recovered(FaultKind::Hang, "arm").await;
-        let symptom = node.await_fault(FaultKind::Hang, "leg").await;
-        node.await_recovered(FaultKind::Hang, "leg").await;
-
-        assert_eq!(symptom.symptom_of, Some(root.id));
-        assert_eq!((patiently(&node, "arm").await, patiently(&node, "leg").await), (2, 2));
-        until(async || strings.lines("note") == ["leg#2 note 1"], "its queue came along").await;
-        assert_eq!(node.abandoned_threads(), 1);
-        assert_eq!(incarnation(&node, "ear").await, 1);
-        strings.release();
-        until(async || node.abandoned_threads() == 0, "the thread comes back").await;
-        node.shutdown().await;
-    });
-}
-
 /// The thread that this component lives on.
 fn thread_of(node: &Node, component: &str) -> Option<ThreadRow> {
     let hosts = |row: &ThreadRow| row.components.iter().any(|name| name.as_str() == component);
@@ -100,7 +75,7 @@ fn thread_of(node: &Node, component: &str) -> Option<ThreadRow> {
 }
 
 #[test]
-fn the_rows_of_threads_tell_who_keeps_one_and_to_whom_one_was_lost() {
+fn neighbours_of_a_hang_are_moved_with_their_queues_and_rows_tell_to_whom_a_thread_was_lost() {
     let _turn = blastema_doubles::turn();
     blastema::run(async {
         let strings = Strings::default();
@@ -124,7 +99,14 @@ fn the_rows_of_threads_tell_who_keeps_one_and_to_whom_one_was_lost() {
 
         let lost = Some(ThreadState::Abandoned { by: arm() });
         until(async || state(shared.number) == lost, "it is lost").await;
+        let root = node.await_fault(FaultKind::Hang, "arm").await;
+        node.await_recovered(FaultKind::Hang, "arm").await;
+        let symptom = node.await_fault(FaultKind::Hang, "leg").await;
         node.await_recovered(FaultKind::Hang, "leg").await;
+        assert_eq!(symptom.symptom_of, Some(root.id));
+        assert_eq!((patiently(&node, "arm").await, patiently(&node, "leg").await), (2, 2));
+        until(async || strings.lines("note") == ["leg#2 note 1"], "its queue came along").await;
+        assert_eq!((node.abandoned_threads(), incarnation(&node, "ear").await), (1, 1));
         let elsewhere = thread_of(&node, "leg").expect("it lives again");
         assert!(elsewhere.number > own.number && elsewhere.state == ThreadState::Alive);
 

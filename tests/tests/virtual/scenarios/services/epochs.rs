@@ -27,7 +27,7 @@ async fn a_caller_does_not_accept_a_restarted_node_with_another_configuration_an
     drop(robot.members.remove(robot.primary()));
     // The nodes that know the epoch are out of sight for a moment.
     for other in &robot.members {
-        other.cable("ethernet").expect("a cable").cut(Direction::Both, false);
+        pull_cable(other);
     }
     let wrong = ServiceSpec::new("counter", [own], Counter::default).heartbeat_every(10 * MS);
     let wrong = node(own, &robot.medium).service(wrong);
@@ -41,7 +41,7 @@ async fn a_caller_does_not_accept_a_restarted_node_with_another_configuration_an
     let meanwhile = async {
         robot.asker.advance(300 * MS).await;
         for other in &robot.members {
-            other.cable("ethernet").expect("a cable").restore();
+            plug_cable(other);
         }
         robot.asker.advance(3000 * MS).await;
     };

@@ -49,18 +49,3 @@ async fn each_node_shows_its_state_the_primary_and_the_missing_members_of_a_serv
     let picture = robot.members[next].snapshot().await;
     assert!(picture.contains(r#""services":[{"#) && picture.contains(r#""unreplicated":true"#));
 }
-
-#[blastema_testkit::test]
-async fn nodes_with_different_configurations_are_shown_as_fenced() {
-    let medium = MemoryMedium::default();
-    let both = || ServiceSpec::new("counter", ["module1", "module2"], Counter::default);
-    let nodes = [
-        TestNode::start(node("module1", &medium).service(both())).await,
-        TestNode::start(node("module2", &medium).service(both().standby(StandbyKind::Hot))).await,
-    ];
-    nodes[0].advance(3000 * MS).await;
-
-    for node in &nodes {
-        assert_eq!(row(node).state, ServiceState::Fenced, "{}", node.name());
-    }
-}

@@ -3,7 +3,7 @@
 use super::*;
 
 /// Its component dies until the node enters the safe state.
-async fn bring_to_rest(node: &TestNode) {
+pub(super) async fn bring_to_rest(node: &TestNode) {
     for _ in 0..20 {
         if matches!(node.state(), NodeState::InSafeState { .. }) {
             return;
