@@ -21,7 +21,7 @@ pub struct TopicContract {
 
 /// One session's number on this node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct SessionEpoch(pub u64);
+pub struct SessionEpoch(pub u32);
 
 /// What an object wants sent to one of another node.
 #[derive(Debug)]

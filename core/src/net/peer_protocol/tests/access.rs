@@ -25,9 +25,7 @@ fn guarded(left: Role, lines: &[&str]) -> Pair {
     let mut pair = Pair::new();
     pair.ends[1].handle_access(policy(left, lines));
     for end in 0..2 {
-        let peer = pair.ids[1 - end];
-        pair.ends[end].handle_reachable(peer);
-        pair.ends[end].handle_opened(peer, Incarnation(1), at(0));
+        pair.begin(end);
     }
     pair.run();
     pair
@@ -382,7 +380,7 @@ fn what_a_peer_has_asked_for_stays_bounded_however_it_asks() {
             }
         }
     }
-    let session = pair.ends[1].peers[&left].session.as_ref().expect("it is open");
+    let session = pair.ends[1].peers.open(left).expect("it is open");
     assert_eq!(session.bound.len() + session.subscriptions.len(), BINDINGS_MAX);
 }
 
