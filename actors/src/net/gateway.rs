@@ -221,10 +221,9 @@ impl ObjectGateway {
             PeerProtocolOutput::AccessDenied { denied } => {
                 self.wiring.registry.access().record(*denied);
             }
-            PeerProtocolOutput::SubscriptionForbidden { peer, why } => {
-                self.forbidden.refused(peer, &why, &self.wiring.faults);
+            PeerProtocolOutput::SubscriptionForbidden { why, .. } => {
+                self.forbidden.refused(&why, &self.wiring.faults);
             }
-            PeerProtocolOutput::SubscriptionsAllowed { peer } => self.forbidden.forget(peer),
             PeerProtocolOutput::Unsubscribe { peer, subscription } => {
                 self.end_forward((peer, subscription));
             }
@@ -459,7 +458,6 @@ impl ObjectGateway {
         self.show_closed(peer);
         let why = self.because(peer, why);
         self.exchange.handle_ended(peer, &why);
-        self.forbidden.forget(peer);
     }
 
     /// The session with a peer is over, and held these messages.
@@ -513,7 +511,6 @@ impl ObjectGateway {
         self.with_send_state(peer, |send_state| send_state.set_isolated(isolated));
         if isolated {
             self.exchange.handle_ended(peer, &DeliveryError::isolated(node));
-            self.forbidden.forget(peer);
             self.tell_directory(DirectoryReport::Ended { node: node.clone() });
         }
         true
@@ -573,7 +570,8 @@ impl ObjectGateway {
             let what = "it asks a thousand times a second for what it may not";
             self.offends(NodeId::of(&node), what);
         }
-        self.forbidden.look(&access, &self.wiring.faults);
+        let is_refused = self.exchange.is_refused_a_subscription();
+        self.forbidden.look(&access, is_refused, &self.wiring.faults);
         self.look_at_losses();
         self.look_at_topics();
         let told = (&self.wiring.faults, self.wiring.nodes.as_ref());

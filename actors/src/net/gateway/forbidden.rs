@@ -3,9 +3,7 @@
 use crate::net::fault_reporter::FaultReporter;
 use crate::platform;
 use crate::registry::access::AccessControl;
-use blastema_core::net::NodeId;
 use blastema_core::net::trust::access::REFUSAL_REMINDER;
-use blastema_core::sorted::SortedSet;
 use blastema_core::{DeliveryError, FaultKind, Instant};
 use tracing::error;
 
@@ -16,27 +14,24 @@ pub(super) struct ForbiddenAlarm {
     stands: bool,
     /// When a peer was refused something for the last time, at the last look.
     last_refusal: Option<Instant>,
-    /// Peers that refuse a subscription of this node.
-    refused_by: SortedSet<NodeId>,
 }
 
 impl ForbiddenAlarm {
     /// A peer refuses a subscription of this node.
-    pub(super) fn refused(&mut self, peer: NodeId, why: &DeliveryError, faults: &FaultReporter) {
+    pub(super) fn refused(&mut self, why: &DeliveryError, faults: &FaultReporter) {
         error!("no event arrives: {why}");
-        self.refused_by.insert(peer);
         self.stands = true;
         faults.declare(FaultKind::Forbidden, format!("no event arrives: {why}"));
     }
 
-    /// A peer refuses no subscription any more, or the session with it has ended.
-    pub(super) fn forget(&mut self, peer: NodeId) {
-        self.refused_by.remove(&peer);
-    }
-
     /// Declares what was refused since the last look, and clears the fault when nothing was for a
-    /// minute.
-    pub(super) fn look(&mut self, access: &AccessControl, faults: &FaultReporter) {
+    /// minute, and no peer refuses a subscription now.
+    pub(super) fn look(
+        &mut self,
+        access: &AccessControl,
+        is_refused: bool,
+        faults: &FaultReporter,
+    ) {
         if let Some(row) = access.newest_of_a_program()
             && self.last_refusal.replace(row.last) != Some(row.last)
             && !std::mem::replace(&mut self.stands, true)
@@ -46,7 +41,7 @@ impl ForbiddenAlarm {
             faults.declare(FaultKind::Forbidden, detail);
         }
         let is_over = |last: Instant| platform::now() >= last + REFUSAL_REMINDER;
-        if self.stands && self.refused_by.is_empty() && self.last_refusal.is_none_or(is_over) {
+        if self.stands && !is_refused && self.last_refusal.is_none_or(is_over) {
             self.stands = false;
             faults.clear(FaultKind::Forbidden);
         }

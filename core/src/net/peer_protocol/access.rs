@@ -100,13 +100,12 @@ impl PeerProtocol {
                     tell(PeerMessage::BindRefused { binding, why, identity });
                 }
             }
-            let mut are_allowed = false;
             for (topic, interest) in &self.interests {
                 let subscription = interest.subscription;
                 if !may(&policy, peer, Verb::Publish, topic) {
                     if barred.insert(subscription) {
                         tell(PeerMessage::Unsubscribe { subscription });
-                        are_allowed |= forbidden.remove(&subscription) && forbidden.is_empty();
+                        forbidden.remove(&subscription);
                     }
                 } else if barred.remove(&subscription) {
                     tell(subscribe(topic, interest));
@@ -130,11 +129,8 @@ impl PeerProtocol {
             });
             let ended = ended
                 .into_iter()
-                .map(|subscription| PeerProtocolOutput::Unsubscribe { peer: peer, subscription });
+                .map(|subscription| PeerProtocolOutput::Unsubscribe { peer, subscription });
             self.outputs.extend(ended);
-            if are_allowed {
-                self.outputs.push_back(PeerProtocolOutput::SubscriptionsAllowed { peer: peer });
-            }
         }
         self.access = Some(policy);
     }
@@ -217,7 +213,8 @@ impl PeerProtocol {
 
     /// A peer does not refuse a subscription any more: it is offered again.
     pub(super) fn handle_subscribe_again(&mut self, peer: NodeId, subscription: u32) {
-        if !self.end_forbidden(peer, subscription) {
+        let session = self.peers.open_mut(peer);
+        if !session.is_some_and(|session| session.forbidden.remove(&subscription)) {
             self.refusals.unexpected += 1;
             return;
         }
@@ -227,16 +224,9 @@ impl PeerProtocol {
         }
     }
 
-    /// A subscription of this node is not refused any more, or has ended. Answers whether it was
-    /// refused.
-    pub(super) fn end_forbidden(&mut self, peer: NodeId, subscription: u32) -> bool {
-        let session = self.peers.open_mut(peer);
-        let Some(session) = session else { return false };
-        let was_forbidden = session.forbidden.remove(&subscription);
-        if was_forbidden && session.forbidden.is_empty() {
-            self.outputs.push_back(PeerProtocolOutput::SubscriptionsAllowed { peer });
-        }
-        was_forbidden
+    /// Whether a peer refuses a subscription of this node now.
+    pub fn is_refused_a_subscription(&self) -> bool {
+        self.peers.with_session().any(|(_, session)| !session.forbidden.is_empty())
     }
 
     /// Tells that a peer was refused something. Answers with what the peer is told.

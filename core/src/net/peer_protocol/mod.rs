@@ -394,9 +394,9 @@ impl PeerProtocol {
 
     /// This node does not listen any more. Tells a peer that was told that it does.
     fn end_interest(&mut self, peer: NodeId, subscription: u32) {
-        let session = self.peers.open_mut(peer);
-        if session.is_some_and(|session| !session.barred.remove(&subscription)) {
-            self.end_forbidden(peer, subscription);
+        let Some(session) = self.peers.open_mut(peer) else { return };
+        if !session.barred.remove(&subscription) {
+            session.forbidden.remove(&subscription);
             self.tell(peer, &PeerMessage::Unsubscribe { subscription });
         }
     }

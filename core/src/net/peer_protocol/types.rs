@@ -206,11 +206,6 @@ pub enum PeerProtocolOutput {
         /// The reason that it gives.
         why: DeliveryError,
     },
-    /// The peer refuses no subscription of this node any more.
-    SubscriptionsAllowed {
-        /// The node that has refused one.
-        peer: NodeId,
-    },
     /// Send no more of this.
     Unsubscribe {
         /// Who does not want it any more.
