@@ -58,6 +58,11 @@ impl<K: Ord + Copy, M: Machine> MachineSet<K, M> {
         self.members.iter().map(|(key, member)| (*key, member))
     }
 
+    /// The same, for what changes no member's outputs and no deadline.
+    pub fn iter_mut(&mut self) -> impl Iterator<Item = (K, &mut M)> {
+        self.members.iter_mut().map(|(key, member)| (*key, member))
+    }
+
     fn settle(&mut self, key: K, due: Option<Instant>) {
         let before = match due {
             Some(due) => self.due_of.insert(key, due),

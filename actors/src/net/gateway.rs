@@ -2,10 +2,7 @@
 
 mod forbidden;
 mod inbound;
-mod inputs;
 mod local;
-mod node_state;
-mod peer;
 mod subscriptions;
 mod undelivered;
 
@@ -13,33 +10,43 @@ pub(super) use local::LocalInput;
 
 use super::NetEnvironment;
 use super::fault_reporter::FaultReporter;
-use super::roster_watch::RosterWatch;
-use super::sessions::{DiscardedSession, PeerSessions};
+use super::gateway_messages::SendToPeer;
+use super::keys::NodeKeys;
+use super::roster_watch::{RosterOffer, RosterWatch};
+use super::sessions::SessionWatch;
 use super::stub::{PeerCondition, PeerSendState, PeerStubs};
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::platform;
+use crate::platform::panics;
 use crate::registry::remote_watch::DeathWatchService;
 use crate::registry::{MessageMetadata, Registry, ReplyTo};
 use crate::topic::{TopicKey, Topics};
 use actix::prelude::*;
 use blastema_contract::monitor::NodeReported;
+use blastema_contract::recoverer::SafeStateChanged;
 use blastema_contract::session::DirectoryReport;
 use blastema_core::detection::NodeCondition;
-use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::{
-    PeerProtocol, PeerProtocolOutput, SessionEpoch, TopicContract,
+    Call, PeerProtocol, PeerProtocolOutput, SessionEpoch, TopicContract, TransmitState,
 };
+use blastema_core::net::{NodeId, Peer};
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{
-    DeliveryError, FaultKind, GatherBuffer, Incarnation, Instant, NodeName, ObjectName,
+    DeliveryError, FaultKind, GatherBuffer, Incarnation, Instant, NodeName, ObjectAddress,
+    ObjectName, TrafficClass,
 };
 use bytes::Bytes;
 use forbidden::ForbiddenAlarm;
 use inbound::{InboundBacklog, PeerBinding};
-use peer::GatewayPeer;
 use std::sync::{Arc, Weak};
+use std::time::Duration;
 use subscriptions::Forwarded;
-use tracing::{debug, error, info};
+use tracing::{debug, error, info, warn};
+
+/// How long a node that ends waits for peers to agree to contracts of messages it has accepted.
+const LEAVE_TIMEOUT: Duration = Duration::from_millis(500);
+/// So many refusals of one node between two looks, a second apart, are an offence of it.
+const FLOOD: u64 = 1_000;
 
 /// What the gateway uses of its node.
 struct GatewaySetup {
@@ -61,8 +68,9 @@ struct GatewaySetup {
 /// Speaks for the objects of this node.
 pub(super) struct ObjectGateway {
     wiring: GatewaySetup,
+    /// With the table of all peers.
     pub(super) exchange: PeerProtocol,
-    peers: SortedMap<NodeId, GatewayPeer>,
+    pub(super) sessions: SessionWatch,
     /// Where replies go, by our number of the request.
     replies: SortedMap<u64, (NodeName, ReplyTo)>,
     /// What peers have bound here.
@@ -74,8 +82,6 @@ pub(super) struct ObjectGateway {
     /// What they listened to when their last sessions ended, until they have told it again.
     past: SortedMap<(NodeId, ObjectName), Forwarded>,
     next: u64,
-    /// Messages of isolated nodes.
-    of_isolated: u64,
     forbidden: ForbiddenAlarm,
     /// The node ends; the sessions follow once nothing waits here, and then at the latest.
     leaving: Option<Instant>,
@@ -88,10 +94,12 @@ impl ObjectGateway {
         deaths: DeathWatchService,
         (faults, stack): (FaultReporter, Recipient<LocalInput>),
     ) -> Self {
-        let NetEnvironment { registry, topics, nodes, dead_letters, .. } = environment.clone();
+        let NetEnvironment { registry, topics, dead_letters, .. } = environment.clone();
+        let nodes = environment.reports.nodes.clone();
         let may_be_away = environment.may_be_away.clone();
         let directory = environment.directory.as_ref().map(|line| line.reports.clone());
-        let mut exchange = PeerProtocol::default();
+        let NetEnvironment { node, incarnation, session_timeout, .. } = environment;
+        let mut exchange = PeerProtocol::new(node.clone(), *incarnation, *session_timeout);
         if let Some(keys) = &environment.keys {
             exchange.handle_roster(keys.serial(), keys.roster_text());
         }
@@ -114,14 +122,13 @@ impl ObjectGateway {
         ObjectGateway {
             wiring,
             exchange,
-            peers: SortedMap::new(),
+            sessions: SessionWatch::default(),
             replies: SortedMap::new(),
             skeletons: SortedMap::new(),
             queues: InboundBacklog::default(),
             forwards: SortedMap::new(),
             past: SortedMap::new(),
             next: 0,
-            of_isolated: 0,
             forbidden: ForbiddenAlarm::default(),
             leaving: None,
         }
@@ -143,37 +150,44 @@ impl ObjectGateway {
     }
 
     /// Carries out all that waits. A node that ends tells its peers, and ends its sessions.
-    pub(super) fn drive(&mut self, sessions: &mut PeerSessions) {
-        self.carry_out_all(sessions);
+    pub(super) fn drive(&mut self) {
+        self.carry_out_all();
         let is_over = |until| until <= platform::now() || !self.exchange.is_waiting();
         if self.leaving.is_some_and(is_over) {
             self.exchange.handle_leave();
-            self.carry_out_all(sessions);
-            sessions.close();
+            self.carry_out_all();
+            self.exchange.close(platform::now());
             self.leaving = None;
         }
     }
 
     /// A panic in here has consumed an output.
-    pub(super) fn carry_out_all(&mut self, sessions: &mut PeerSessions) {
+    pub(super) fn carry_out_all(&mut self) {
         while let Some(output) = self.exchange.poll_output() {
-            self.carry_out(output, sessions);
+            self.carry_out(output);
         }
     }
 
-    fn carry_out(&mut self, output: PeerProtocolOutput, sessions: &mut PeerSessions) {
+    fn carry_out(&mut self, output: PeerProtocolOutput) {
+        let now = platform::now();
         match output {
             PeerProtocolOutput::Send { peer, stream, strand, message, credit } => {
-                let session = (peer, self.peers.get(&peer).map_or(0, |peer| peer.session));
-                let sent = sessions.send_reliable(session, (stream, strand), message, credit);
+                let sent = match self.exchange.peers.present(peer) {
+                    Some(session) => {
+                        session.handle_send_along((stream, strand), message, credit, now)
+                    }
+                    None => Err((self.exchange.peers.unreachable(peer), message.into_bytes())),
+                };
                 self.give_back(peer, sent);
             }
             PeerProtocolOutput::SendNewest { peer, channel, message, credit } => {
                 // Given back when the stack has yielded: senders on other threads would keep its
                 // mailbox filled, and actix serves that before any timer.
                 actix_rt::spawn(async move { drop(credit) });
-                let session = (peer, self.peers.get(&peer).map_or(0, |peer| peer.session));
-                let sent = sessions.send_latest(session, channel, message);
+                let sent = match self.exchange.peers.present(peer) {
+                    Some(session) => session.handle_send_newest(channel, message, now),
+                    None => Err((self.exchange.peers.unreachable(peer), message.into_bytes())),
+                };
                 self.give_back(peer, sent);
             }
             PeerProtocolOutput::Bind { peer, epoch, binding, object, identity } => {
@@ -207,15 +221,14 @@ impl ObjectGateway {
             PeerProtocolOutput::AccessDenied { denied } => {
                 self.wiring.registry.access().record(*denied);
             }
-            PeerProtocolOutput::SubscriptionForbidden { peer, why } => {
-                self.subscription_forbidden(peer, &why);
+            PeerProtocolOutput::SubscriptionForbidden { why, .. } => {
+                self.forbidden.refused(&why, &self.wiring.faults);
             }
-            PeerProtocolOutput::SubscriptionsAllowed { peer } => self.forget_forbidden(peer),
             PeerProtocolOutput::Unsubscribe { peer, subscription } => {
                 self.end_forward((peer, subscription));
             }
             PeerProtocolOutput::Event { peer, topic, form, age, payload } => {
-                if !self.peers.contains_key(&peer) {
+                if self.exchange.peers.get(peer).is_none() {
                     return;
                 }
                 let key = TopicKey::new(&topic.topic, &topic.contract);
@@ -234,7 +247,7 @@ impl ObjectGateway {
             PeerProtocolOutput::SafeState { peer, reason } => self.peer_rests(peer, reason),
             PeerProtocolOutput::Roster { peer, text } => self.offer_roster(peer, &text),
             PeerProtocolOutput::Directory { peer, message } => {
-                if let Some(GatewayPeer { node, .. }) = self.peers.get(&peer) {
+                if let Some(Peer { node, .. }) = self.exchange.peers.get(peer) {
                     self.tell_directory(DirectoryReport::Said { node: node.clone(), message });
                 }
             }
@@ -253,7 +266,7 @@ impl ObjectGateway {
     /// Two nodes hold different contracts: shown in the session's row, and a fault. Each is told
     /// once in an incarnation of the peer.
     fn differs(&mut self, peer: NodeId, difference: &str) {
-        let Some(peer) = self.peers.get_mut(&peer) else { return };
+        let Some(peer) = self.exchange.peers.get_mut(peer) else { return };
         if !peer.differs(difference) {
             return;
         }
@@ -263,35 +276,34 @@ impl ObjectGateway {
         self.wiring.faults.declare(FaultKind::ContractMismatch, detail);
     }
 
-    /// A session begins. What differed in an earlier incarnation of the peer may be right now; if
-    /// not, it is found and declared again.
-    fn begin_peer(&mut self, peer: NodeId, session: u32, incarnation: Incarnation) {
-        let Some(known) = self.peers.get_mut(&peer) else { return };
-        let differed = known.begin(session, incarnation);
-        if differed && self.peers.values().all(|peer| peer.differences().is_empty()) {
+    /// What differed in an incarnation of a peer is over. What still differs, or differs again, is
+    /// found and declared again.
+    fn forget_differences(&self) {
+        if self.exchange.peers.iter().all(|(_, peer)| peer.differences().is_empty()) {
             self.wiring.faults.clear(FaultKind::ContractMismatch);
         }
     }
 
     /// What a peer has done does harm; several times are a fault of that node.
     fn offends(&self, peer: NodeId, what: &str) {
-        if let (Some(nodes), Some(peer)) = (&self.wiring.nodes, self.peers.get(&peer)) {
-            let (node, incarnation) = (peer.node.clone(), peer.incarnation);
-            let condition = NodeCondition::Offends { what: what.to_owned() };
-            nodes.do_send(NodeReported { node, incarnation, condition });
-        }
+        self.report(peer, NodeCondition::Offends { what: what.to_owned() });
     }
 
     /// A node ends in order: that it will be silent is no fault.
     fn handle_bye(&mut self, peer: NodeId) {
-        let Some(known) = self.peers.get_mut(&peer) else { return };
+        let Some(known) = self.exchange.peers.get_mut(peer) else { return };
         known.left = true;
-        known.send_state.set(PeerCondition::Left);
         let (node, incarnation) = (known.node.clone(), known.incarnation);
+        self.wiring.stubs.send_state(&node).set(PeerCondition::Left);
         info!(%node, %incarnation, "node leaves in order");
-        self.tell_directory(DirectoryReport::Left { node: node.clone() });
-        if let Some(nodes) = &self.wiring.nodes {
-            let condition = NodeCondition::Left;
+        self.tell_directory(DirectoryReport::Left { node });
+        self.report(peer, NodeCondition::Left);
+    }
+
+    /// Reports how a peer is, in the incarnation that a session was opened with last.
+    fn report(&self, peer: NodeId, condition: NodeCondition) {
+        if let (Some(nodes), Some(peer)) = (&self.wiring.nodes, self.exchange.peers.get(peer)) {
+            let (node, incarnation) = (peer.node.clone(), peer.incarnation);
             nodes.do_send(NodeReported { node, incarnation, condition });
         }
     }
@@ -304,10 +316,8 @@ impl ObjectGateway {
 
     /// Why the session with a peer has ended, as its callers are told.
     fn because(&self, peer: NodeId, why: DeliveryError) -> DeliveryError {
-        match self.peers.get(&peer) {
-            Some(GatewayPeer { node, left: true, .. }) => {
-                DeliveryError::Left { node: node.to_string() }
-            }
+        match self.exchange.peers.get(peer) {
+            Some(Peer { node, left: true, .. }) => DeliveryError::Left { node: node.to_string() },
             _ => why,
         }
     }
@@ -315,9 +325,7 @@ impl ObjectGateway {
     /// The session is over: what the peer had here goes with it.
     fn forget(&mut self, peer: NodeId, why: &DeliveryError) {
         self.end_lines(peer, why);
-        if let Some(peer) = self.peers.get(&peer) {
-            peer.send_state.forget_backlog();
-        }
+        self.with_send_state(peer, PeerSendState::forget_backlog);
         let all = (peer, 0)..=(peer, u32::MAX);
         let skeletons: Vec<_> = self.skeletons.range(all.clone()).map(|(key, _)| *key).collect();
         skeletons.iter().for_each(|key| drop(self.skeletons.remove(key)));
@@ -325,25 +333,292 @@ impl ObjectGateway {
         forwards.into_iter().for_each(|key| self.retire(key, why));
     }
 
-    fn meet(&mut self, node: &NodeName) -> (NodeId, Arc<PeerSendState>) {
-        let peer = NodeId::of(node);
-        let send_state = self.wiring.stubs.send_state(node);
-        let known = GatewayPeer::new(node.clone(), send_state.clone());
-        self.peers.entry(peer).or_insert(known);
-        (peer, send_state)
+    /// Makes the row of a node. Where the table is full, another one is forgotten.
+    fn meet(&mut self, node: &NodeName) -> NodeId {
+        if let Some(gone) = self.exchange.expendable(node) {
+            let known = self.exchange.peers.get_mut(gone);
+            let held = known.map(|known| known.session.take_unacknowledged());
+            self.discard(gone, held.unwrap_or_default());
+            self.carry_out_all();
+            self.forget_past(gone);
+            self.sessions.forget(gone);
+            if self.exchange.forget(gone) {
+                self.forget_differences();
+            }
+        }
+        self.exchange.meet(node, platform::random_seed(), platform::now())
     }
 
     fn with_send_state(&self, peer: NodeId, act: impl FnOnce(&PeerSendState)) {
-        if let Some(peer) = self.peers.get(&peer) {
-            act(&peer.send_state);
+        if let Some(peer) = self.exchange.peers.get(peer) {
+            act(&self.wiring.stubs.send_state(&peer.node));
         }
     }
 
-    fn set(&self, peer: NodeId, condition: PeerCondition) {
-        if let Some(peer) = self.peers.get(&peer)
-            && !peer.left
-        {
-            peer.send_state.set(condition);
+    /// Shows senders that no session is open, and whether one is about to begin.
+    fn show_closed(&self, peer: NodeId) {
+        let Some(known) = self.exchange.peers.get(peer).filter(|peer| !peer.left) else { return };
+        let condition = match known.path {
+            Some(_) => PeerCondition::Opening,
+            None => PeerCondition::Unreachable,
+        };
+        self.wiring.stubs.send_state(&known.node).set(condition);
+    }
+
+    /// A node can be reached; a session will begin.
+    pub(super) fn handle_reachable(
+        &mut self,
+        node: &NodeName,
+        incarnation: Incarnation,
+        mtu: usize,
+    ) {
+        let peer = self.meet(node);
+        let Some(known) = self.exchange.peers.get_mut(peer) else { return };
+        let is_newer = known.incarnation != incarnation;
+        known.left &= !is_newer;
+        known.handle_reachable(incarnation, mtu, platform::now());
+        let send_state = self.wiring.stubs.send_state(node);
+        send_state.path_found(is_newer);
+        if !send_state.has_session() {
+            self.show_closed(peer);
+        } else if !is_newer {
+            self.tell_directory(DirectoryReport::Reachable { node: node.clone() });
+        }
+    }
+
+    /// No path leads to a node any more; its session waits for one for a while.
+    pub(super) fn handle_unreachable(&mut self, node: &NodeName) {
+        let peer = NodeId::of(node);
+        let Some(known) = self.exchange.peers.get_mut(peer) else { return };
+        known.handle_no_path(platform::now());
+        self.wiring.deaths.handle_opening(peer);
+        let send_state = self.wiring.stubs.send_state(node);
+        send_state.path_lost();
+        self.tell_directory(DirectoryReport::Unreachable { node: node.clone() });
+        if !send_state.has_session() {
+            self.show_closed(peer);
+        }
+    }
+
+    /// Another node's session has sent this. It is authentic if no other node can have made it: it
+    /// came over a link with that node itself, or that node has sealed it.
+    pub(super) fn handle_segment(&mut self, source: NodeId, segment: Bytes, authentic: bool) {
+        // A peer that the router has not told of yet repeats itself.
+        let Some(peer) = self.exchange.peers.get_mut(source) else {
+            self.sessions.strangers.unexpected += 1;
+            return;
+        };
+        peer.session.handle_segment(segment, platform::now());
+        peer.relayed |= !authentic;
+    }
+
+    /// A session has begun, which has this number.
+    pub(super) fn session_opened(&mut self, peer: NodeId, incarnation: Incarnation, session: u32) {
+        let Some(node) = self.exchange.peers.get(peer).map(|peer| peer.node.clone()) else {
+            return;
+        };
+        info!(%node, %incarnation, "session open");
+        // Before the peer learns that it is connected.
+        self.wiring.deaths.handle_opening(peer);
+        if self.exchange.handle_opened(peer, (incarnation, session), platform::now()) {
+            self.forget_differences();
+        }
+        self.with_send_state(peer, PeerSendState::begin);
+        self.tell_directory(DirectoryReport::Opened { node, incarnation });
+        // What was found lost before a restart is over, too.
+        self.report(peer, NodeCondition::InSession);
+    }
+
+    /// A message has arrived.
+    pub(super) fn handle_message(&mut self, peer: NodeId, message: Bytes) {
+        if self.exchange.peers.get(peer).is_some_and(|peer| peer.isolated) {
+            debug!(%peer, "an isolated node speaks");
+        } else {
+            self.exchange.handle_message(peer, message, platform::now());
+        }
+    }
+
+    /// A message was not delivered; or perhaps it was, if some of it was sent.
+    pub(super) fn handle_returned(
+        &mut self,
+        peer: NodeId,
+        message: Bytes,
+        why: DeliveryError,
+        sent: bool,
+    ) {
+        let why = self.because(peer, why);
+        let sent = if sent { TransmitState::Perhaps } else { TransmitState::Nothing };
+        self.exchange.handle_returned(peer, message, why, sent);
+    }
+
+    /// A session is over; what was unacknowledged has been returned.
+    pub(super) fn session_ended(&mut self, peer: NodeId, why: DeliveryError) {
+        let Some(Peer { node, .. }) = self.exchange.peers.get(peer) else { return };
+        self.tell_directory(DirectoryReport::Ended { node: node.clone() });
+        self.show_closed(peer);
+        let why = self.because(peer, why);
+        self.exchange.handle_ended(peer, &why);
+    }
+
+    /// The session with a peer is over, and held these messages.
+    fn discard(&mut self, peer: NodeId, held: Vec<(TrafficClass, Bytes, bool)>) {
+        let why = self.exchange.peers.unreachable(peer);
+        for (_, message, sent) in held {
+            self.handle_returned(peer, message, why.clone(), sent);
+        }
+        self.session_ended(peer, why);
+    }
+
+    /// After a panic, every session begins again. It may have lost an output: what the peers had
+    /// here goes, and requests that no session will answer are resolved.
+    pub(super) fn restart(&mut self) {
+        let peers = self.exchange.peers.ids();
+        for peer in &peers {
+            let (seed, now) = (platform::random_seed(), platform::now());
+            let Some(mut old) = self.exchange.replace_session(*peer, seed, now) else { continue };
+            // After a panic, what it holds is given back if it can be read at all.
+            let held = panics::caught(|| old.take_unacknowledged());
+            self.discard(*peer, held.unwrap_or_default());
+        }
+        // The output that panicked may not be the only one that does. Each round consumes one.
+        while let Err(again) = panics::caught(|| self.carry_out_all()) {
+            error!(%again, "a restarted network panics once more");
+        }
+        for peer in peers {
+            let why = self.because(peer, self.exchange.peers.unreachable(peer));
+            self.forget(peer, &why);
+        }
+        let lost = |number: &u64| !self.exchange.is_to_repeat(*number);
+        let lost: Vec<_> = self.replies.keys().copied().filter(lost).collect();
+        for (node, reply_to) in lost.iter().filter_map(|number| self.replies.remove(number)) {
+            let reason = format!("the session with {node} was reopened");
+            reply_to(Err(DeliveryError::OutcomeUnknown { reason }));
+        }
+    }
+
+    /// Isolates a node, or admits it again. Says whether that is a change. What is under way with
+    /// an isolated node is resolved, and what it has here goes.
+    pub(super) fn handle_isolation(&mut self, node: &NodeName, isolated: bool) -> bool {
+        let peer = self.meet(node);
+        let Some(known) = self.exchange.peers.get_mut(peer) else { return false };
+        if std::mem::replace(&mut known.isolated, isolated) == isolated {
+            return false;
+        }
+        if !isolated {
+            // What it sent meanwhile was not read: only a new session makes both agree again.
+            known.session.handle_restart(platform::now());
+        }
+        self.with_send_state(peer, |send_state| send_state.set_isolated(isolated));
+        if isolated {
+            self.exchange.handle_ended(peer, &DeliveryError::isolated(node));
+            self.tell_directory(DirectoryReport::Ended { node: node.clone() });
+        }
+        true
+    }
+
+    pub(super) fn handle_send(&mut self, message: SendToPeer) {
+        let SendToPeer { to, contract, id, sent, until, payload, reply_to, credit } = message;
+        let reply_as = reply_to.map(|reply_to| {
+            let number = self.number();
+            self.replies.insert(number, (to.node.clone(), reply_to));
+            number
+        });
+        let ObjectAddress { node, object } = to;
+        let credit = Some(credit);
+        let call = Call { node, object, contract, id, sent, until, payload, reply_as, credit };
+        self.exchange.handle_call(call);
+    }
+
+    pub(super) fn handle_local(&mut self, input: LocalInput) {
+        let now = platform::now();
+        match input {
+            LocalInput::Started => self.exchange.handle_started(now),
+            // Once nothing waits here, the sessions end.
+            LocalInput::Ending => _ = self.leaving.get_or_insert(now + LEAVE_TIMEOUT),
+            LocalInput::Reply { peer, epoch, call, result } => {
+                self.exchange.handle_answer(peer, epoch, call, result, now);
+            }
+            LocalInput::Capacity { peer, object } => self.hand_over(peer, object),
+            LocalInput::Interest(key) => {
+                self.compare_forwards(&key);
+                let identities = self.wiring.topics.settle_interest(&key.topic);
+                self.exchange.handle_interest(topic(&key), identities);
+            }
+            LocalInput::Event { peer, subscription, losses, event, sent, credit } => {
+                let known = self.forwards.get(&(peer, subscription));
+                match known.filter(|known| Arc::ptr_eq(&known.losses, &losses)) {
+                    Some(known) => {
+                        self.exchange.handle_event(peer, known.by, event, sent, Some(credit))
+                    }
+                    None => _ = losses.take_late(),
+                }
+            }
+        }
+    }
+
+    /// Records what was lost since the last call, and ends what has waited for too long.
+    pub(super) fn handle_time(&mut self) {
+        self.exchange.handle_time(platform::now());
+        self.collect_losses();
+    }
+
+    /// Declares what was refused, forbidden and lost since the last call, a second ago.
+    pub(super) fn look(&mut self) {
+        self.look_at_refusals();
+        let access = self.wiring.registry.access();
+        for node in access.take_floods(FLOOD) {
+            let what = "it asks a thousand times a second for what it may not";
+            self.offends(NodeId::of(&node), what);
+        }
+        let is_refused = self.exchange.is_refused_a_subscription();
+        self.forbidden.look(&access, is_refused, &self.wiring.faults);
+        self.look_at_losses();
+        self.look_at_topics();
+        let told = (&self.wiring.faults, self.wiring.nodes.as_ref());
+        self.sessions.look_at_refusals(&mut self.exchange.peers, told);
+        self.sessions.look_at_rates(&self.exchange.peers);
+    }
+
+    /// Peers are told whether this node is in the safe state.
+    pub(super) fn handle_safe_state(&mut self, message: SafeStateChanged) {
+        self.exchange.handle_safe_state(match message {
+            SafeStateChanged::Entered { reason } => Some(reason),
+            SafeStateChanged::Left => None,
+            // The peers see the node leave, and hear of the safe state when it is one.
+            SafeStateChanged::Entering | SafeStateChanged::NodeEnds => return,
+        });
+    }
+
+    pub(super) fn peer_rests(&self, peer: NodeId, reason: Option<String>) {
+        let at_work = NodeCondition::AtWork;
+        let condition = reason.map_or(at_work, |reason| NodeCondition::InSafeState { reason });
+        self.report(peer, condition);
+    }
+
+    /// Rosters of peers are checked by this watch.
+    pub(super) fn attach_roster_watch(&mut self, watch: Weak<RosterWatch>) {
+        self.wiring.roster_watch = watch;
+    }
+
+    /// What peers may do here is another thing now.
+    pub(super) fn handle_roster(&mut self, keys: &NodeKeys) {
+        let policy = keys.access_policy();
+        self.wiring.registry.access().replace(policy.clone());
+        self.tell_directory(DirectoryReport::Policy(Box::new(policy.clone())));
+        self.exchange.handle_access(policy);
+    }
+
+    /// Peers are told of a newer roster.
+    pub(super) fn announce_roster(&mut self, keys: &NodeKeys) {
+        self.exchange.handle_roster(keys.serial(), keys.roster_text());
+    }
+
+    pub(super) fn offer_roster(&self, peer: NodeId, text: &[u8]) {
+        let from = self.exchange.peers.get(peer).map(|peer| peer.node.clone());
+        let (Some(from), Some(watch)) = (from, self.wiring.roster_watch.upgrade()) else { return };
+        match str::from_utf8(text) {
+            Ok(text) => watch.offer(RosterOffer { from, text: text.to_owned() }),
+            Err(error) => warn!(%from, %error, "its roster is no text"),
         }
     }
 }

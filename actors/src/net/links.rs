@@ -1,13 +1,13 @@
 //! The body of the links over one transport.
 
-mod dialed_in;
 mod discovered;
 mod fault_reports;
 
-pub(super) use dialed_in::DIALED_IN_MAX;
+pub(super) use discovered::DIALED_IN_MAX;
 pub(crate) use discovered::DiscoverySpec;
 
 use discovered::NetworkDiscovery;
+use fault_reports::NamesTaken;
 
 use super::LinkSpec;
 use super::fault_reporter::FaultReporter;
@@ -92,27 +92,27 @@ pub(super) struct LinksActor {
     bundle: LinkLayer<NoiseCrypto, MediumAddress>,
     rates: ByteRates<LinkId>,
     wake: WakeTimer,
-    /// The largest frame with its seal, and whether paths may drop it; `None` while the medium is
-    /// closed.
-    mtu: Option<(usize, bool)>,
-    /// Where this node is reached, for display.
-    local: String,
-    /// How much the medium carries; `None` where it is plenty.
-    bytes_per_second: Option<u64>,
+    medium: MediumState,
     /// What the router was reported last: it must be taken back when the actor restarts.
     reported: SortedMap<LinkId, LinkStatus>,
     /// Those whose neighbour was never heard while the medium could not be opened.
     unheard: SortedSet<LinkId>,
     complaints: RefusalAlarms<Option<LinkId>>,
-    /// Links at whose other end is a node of our name, until another one is.
-    namesakes: SortedSet<LinkId>,
-    /// Links to operators that came by themselves.
-    dialed_in: SortedSet<LinkId>,
+    names: NamesTaken,
     /// Where neighbours are learned of.
     discovery: Option<NetworkDiscovery>,
-    /// Links whose neighbour's key is in use twice, and when the other node was there last. That
-    /// outlives the actor's incarnation, and ends when the other has been silent.
-    keys_in_use: SortedMap<LinkId, Instant>,
+}
+
+/// The medium, as its transport has told.
+#[derive(Default)]
+struct MediumState {
+    /// The largest frame with its seal, and whether paths may drop it; `None` while the medium is
+    /// closed.
+    mtu: Option<(usize, bool)>,
+    /// Where this node is reached, for display.
+    local: String,
+    /// How much it carries; `None` where it is plenty.
+    bytes_per_second: Option<u64>,
 }
 
 impl LinksActor {
@@ -131,16 +131,12 @@ impl LinksActor {
             bundle: LinkLayer::new(None),
             rates: ByteRates::default(),
             wake: WakeTimer::default(),
-            mtu: None,
-            local: String::new(),
-            bytes_per_second: None,
+            medium: MediumState::default(),
             reported: SortedMap::new(),
             unheard: SortedSet::new(),
             complaints: RefusalAlarms::default(),
-            namesakes: SortedSet::new(),
-            dialed_in: SortedSet::new(),
+            names: NamesTaken::default(),
             discovery,
-            keys_in_use: SortedMap::new(),
         };
         links.build(platform::now());
         links
@@ -163,10 +159,10 @@ impl LinksActor {
                 error!(network = %self.wiring.network, link = %spec.name, "no link: {error}");
             }
         }
-        if let Some((mtu, is_probed)) = self.mtu {
+        if let Some((mtu, is_probed)) = self.medium.mtu {
             self.bundle.handle_mtu(mtu, is_probed);
         }
-        if let Some(rate) = self.bytes_per_second {
+        if let Some(rate) = self.medium.bytes_per_second {
             self.bundle.handle_rate(rate);
         }
     }
@@ -200,7 +196,7 @@ impl LinksActor {
 
     /// What a link costs at present.
     fn cost(&self, number: LinkId, link: &Link) -> u16 {
-        let of_medium = self.bytes_per_second.map_or(USUAL_COST, |rate| {
+        let of_medium = self.medium.bytes_per_second.map_or(USUAL_COST, |rate| {
             (USUAL_COST * 1_000_000 / rate.max(1)).clamp(USUAL_COST, SLOW_COST)
         });
         let own = self.specs.get(&number).and_then(|spec| spec.cost);
@@ -226,7 +222,7 @@ impl LinksActor {
         let Some(link) = self.bundle.get(number) else { return };
         let Some(neighbour) = link.neighbour().cloned() else { return };
         let cost = self.cost(number, link);
-        let health = match (link.state(), self.mtu) {
+        let health = match (link.state(), self.medium.mtu) {
             (LinkState::Up, Some(_)) => LinkHealth::Up,
             (LinkState::Suspect, Some(_)) if link.is_proving() => LinkHealth::Proving,
             (LinkState::Suspect, Some(_)) => LinkHealth::Suspect,
@@ -285,7 +281,7 @@ impl LinksActor {
     fn changed(&mut self, number: LinkId, state: LinkState, reason: &'static str) {
         let link = self.specs.get(&number).map(|spec| spec.name.clone()).unwrap_or_default();
         info!(network = %self.wiring.network, %link, %state, reason, "link");
-        if state == LinkState::Down && self.dialed_in.contains(&number) {
+        if state == LinkState::Down && self.wiring.dial_in.contains(&number) {
             return self.remove(number);
         }
         self.tell_router(number);
@@ -352,7 +348,7 @@ impl Actor for LinksActor {
     fn started(&mut self, context: &mut Context<Self>) {
         context.run_interval(REFUSAL_CHECK_INTERVAL, |links, _| {
             links.look_at_refusals();
-            links.forget_keys_in_use();
+            links.forget_unused_keys();
             links.look_at_rates();
         });
         self.attach(context);
@@ -443,8 +439,8 @@ impl Handler<TransportReport> for LinksActor {
                          at least"
                     );
                 }
-                self.mtu = Some((mtu, is_probed));
-                self.local = local.to_string();
+                self.medium.mtu = Some((mtu, is_probed));
+                self.medium.local = local.to_string();
                 self.tell_port(&local);
                 self.bundle.handle_mtu(mtu, is_probed);
                 self.tell_router_all();
@@ -457,16 +453,16 @@ impl Handler<TransportReport> for LinksActor {
             }
             TransportReport::Closed { reason } => {
                 error!(network = %self.wiring.network, "{reason}");
-                self.mtu = None;
+                self.medium.mtu = None;
                 self.lose_all(&reason, now);
                 self.tell_of_lonely_medium(LinkCondition::Down { reason });
             }
             TransportReport::Ended => {
-                self.mtu = None;
+                self.medium.mtu = None;
                 self.lose_all("the node has closed the network", now);
             }
             TransportReport::Rate { bytes_per_second } => {
-                self.bytes_per_second = Some(bytes_per_second);
+                self.medium.bytes_per_second = Some(bytes_per_second);
                 self.bundle.handle_rate(bytes_per_second);
                 self.tell_router_all();
             }

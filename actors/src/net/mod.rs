@@ -140,6 +140,19 @@ pub(crate) struct NetEnvironment {
     pub(crate) dead_letters: DeadLetterLog,
     /// Other nodes that may be away without a fault.
     pub(crate) may_be_away: SortedSet<NodeName>,
+    /// The fault chain.
+    pub(crate) reports: NetReports,
+    /// When the session with a peer that does not answer ends.
+    pub(crate) session_timeout: Duration,
+    /// The directory of this node.
+    pub(crate) directory: Option<DirectoryLine>,
+    /// With which frames are sealed.
+    pub(crate) keys: Option<Arc<keys::NodeKeys>>,
+}
+
+/// The parts of the fault chain that the network reports to; it does not, where there is none.
+#[derive(Clone, Default)]
+pub(crate) struct NetReports {
     /// Gets faults that other nodes tell us of.
     pub(crate) recoverer: Option<Recipient<Recover>>,
     /// Is told how links are.
@@ -148,16 +161,10 @@ pub(crate) struct NetEnvironment {
     pub(crate) stalls: Option<Recipient<LivenessReported>>,
     /// Is told how nodes are.
     pub(crate) nodes: Option<Recipient<NodeReported>>,
-    /// When the session with a peer that does not answer ends.
-    pub(crate) session_timeout: Duration,
     /// Is told of faults that are found in what other nodes send.
     pub(crate) faults: Option<Recipient<FaultDeclared>>,
     /// Is told of those that are over.
     pub(crate) cleared: Option<Recipient<DeclaredFaultCleared>>,
-    /// The directory of this node.
-    pub(crate) directory: Option<DirectoryLine>,
-    /// With which frames are sealed.
-    pub(crate) keys: Option<Arc<keys::NodeKeys>>,
 }
 
 /// Between the network and the directory of a node.
@@ -171,7 +178,8 @@ pub(crate) struct DirectoryLine {
 
 impl NetEnvironment {
     fn own_faults(&self, object: &str) -> FaultReporter {
-        FaultReporter::of(object, self.faults.clone(), self.cleared.clone())
+        let NetReports { faults, cleared, .. } = self.reports.clone();
+        FaultReporter::of(object, faults, cleared)
     }
 }
 
@@ -197,11 +205,11 @@ pub(crate) struct NetHandle {
 /// name and a remote address of its own.
 pub(crate) fn start(environment: NetEnvironment, networks: Vec<NetworkSpec>) -> NetHandle {
     platform::keep_freed_memory();
-    let NetEnvironment { node, incarnation, guardian, arbiter, .. } = environment.clone();
+    let NetEnvironment { node, incarnation, guardian, arbiter, reports, .. } = environment.clone();
     let on_arbiter = arbiter.as_ref();
 
     let numbers = number(&networks);
-    if let Some(recoverer) = environment.recoverer.clone() {
+    if let Some(recoverer) = reports.recoverer {
         fault_forwarding::serve(&environment.registry, recoverer);
     }
 
@@ -243,8 +251,8 @@ pub(crate) fn start(environment: NetEnvironment, networks: Vec<NetworkSpec>) -> 
             transport: spec.transport,
             router_changes: stack.clone().recipient(),
             router_loads: stack.clone().recipient(),
-            monitor: environment.links.clone(),
-            stalls: environment.stalls.clone(),
+            monitor: reports.links.clone(),
+            stalls: reports.stalls.clone(),
             faults,
             seal: keys.clone().zip(spec.seal),
             dial_in: numbers.dial_in.clone(),

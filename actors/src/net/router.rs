@@ -10,9 +10,9 @@ use blastema_contract::monitor::NodeReported;
 use blastema_contract::strategy::IsolateNode;
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::wire::frame::NameHolder;
-use blastema_core::net::{self, LinkId, NodeId, RouterConfig, RouterOutput};
+use blastema_core::net::{self, LinkId, NodeId, Peers, RouterConfig, RouterOutput};
 use blastema_core::recovery::{RecoveryDone, RecoveryFailed};
-use blastema_core::sorted::{SortedMap, SortedSet};
+use blastema_core::sorted::SortedMap;
 use blastema_core::{FaultKind, Incarnation, NodeName};
 use std::sync::Arc;
 use tokio::sync::oneshot;
@@ -30,13 +30,9 @@ pub(super) struct NodeRouter {
     links: SortedMap<LinkId, LinkChanged>,
     monitor: Option<Recipient<NodeReported>>,
     faults: FaultReporter,
-    /// The nodes that can be reached, and their incarnations: what a rebuilt machine finds again.
-    reached: SortedMap<NodeName, Incarnation>,
     /// Who wants to know whether there is another way to a node, until that is certain: as many as
     /// the recoverer has under way, which gives each two seconds.
     inquirers: Vec<(NodeName, oneshot::Sender<Verdict>)>,
-    /// The isolated nodes, which a rebuilt machine is given.
-    isolated: SortedSet<NodeName>,
     own_name: OwnName,
     /// Each life of the machine agrees on keys of its own.
     keys: Option<Arc<NodeKeys>>,
@@ -58,9 +54,7 @@ impl NodeRouter {
             links: SortedMap::new(),
             monitor,
             faults,
-            reached: SortedMap::new(),
             inquirers: Vec::new(),
-            isolated: SortedSet::new(),
             own_name,
             keys,
         }
@@ -100,9 +94,14 @@ impl NodeRouter {
         }
     }
 
-    pub(super) fn reachable(&mut self, node: &NodeName, incarnation: Incarnation) {
+    /// A path leads to a node; and before, if so, to this incarnation.
+    pub(super) fn reachable(
+        &mut self,
+        node: &NodeName,
+        incarnation: Incarnation,
+        before: Option<Incarnation>,
+    ) {
         info!(%node, %incarnation, "node reachable");
-        let before = self.reached.insert(node.clone(), incarnation);
         if before != Some(incarnation) {
             let restarted = before.is_some();
             let condition =
@@ -137,13 +136,13 @@ impl NodeRouter {
         }
     }
 
-    /// Builds the machine again.
-    pub(super) fn rebuild(&mut self) {
-        let reached = self.reached.clone();
+    /// Builds the machine again: it finds the peers again that can be reached.
+    pub(super) fn rebuild(&mut self, peers: &Peers) {
+        let reached = peers.iter().filter_map(|(_, peer)| Some((peer.node.clone(), peer.path?.0)));
         let machine = net::Router::restarted(self.config.clone(), reached, platform::now());
         self.machine = with_keys(machine, self.keys.as_deref(), self.config.incarnation);
-        for node in &self.isolated {
-            self.machine.handle_isolation(node, true, platform::now());
+        for (_, peer) in peers.iter().filter(|(_, peer)| peer.isolated) {
+            self.machine.handle_isolation(&peer.node, true, platform::now());
         }
         for LinkChanged { link, status, .. } in self.links.values().cloned() {
             self.machine.handle_link(link, status, platform::now());
@@ -152,7 +151,6 @@ impl NodeRouter {
 
     pub(super) fn lost(&mut self, node: &NodeName, incarnation: Incarnation) {
         info!(%node, %incarnation, "node lost");
-        self.reached.remove(node);
         let reason = "no path leads there any more".to_owned();
         self.report_node(node.clone(), incarnation, NodeCondition::Lost { reason });
     }
@@ -190,16 +188,8 @@ impl NodeRouter {
         }
     }
 
-    /// Isolates a node, or admits it again. Says which, where that is a change.
-    pub(super) fn handle_isolation(&mut self, decision: IsolateNode) -> Option<bool> {
-        let IsolateNode { node, isolated, cause } = decision;
-        let is_change = match isolated {
-            true => self.isolated.insert(node.clone()),
-            false => self.isolated.remove(&node),
-        };
-        if !is_change {
-            return None;
-        }
+    /// Isolates a node, or admits it again.
+    pub(super) fn handle_isolation(&mut self, IsolateNode { node, isolated, cause }: IsolateNode) {
         warn!(%node, isolated, "isolated, or admitted again: {cause}");
         self.machine.handle_isolation(&node, isolated, platform::now());
         let condition = match isolated {
@@ -207,7 +197,6 @@ impl NodeRouter {
             false => NodeCondition::Admitted,
         };
         self.report_node(node, Incarnation::default(), condition);
-        Some(isolated)
     }
 
     fn carry(&self, link: LinkId, load: LinkPayload) {

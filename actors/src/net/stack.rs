@@ -16,10 +16,8 @@ use super::keys::RosterRow;
 use super::own_name::OwnName;
 use super::roster_watch::{RosterChanged, RosterFound, RosterWatch};
 use super::router::{NodeRouter, Verdict};
-use super::sessions::PeerSessions;
 use super::stub::PeerStubs;
 use crate::platform;
-use crate::platform::panics;
 use crate::registry::remote_watch::DeathWatchService;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::answers_the_monitor;
@@ -45,14 +43,13 @@ const LOOK_INTERVAL: Duration = Duration::from_secs(1);
 
 /// The actor of the gateway, the sessions and the router.
 pub(super) struct NetworkStack {
-    pub(super) gateway: ObjectGateway,
-    pub(super) lower: LowerFloors,
+    pub(super) floors: Floors,
     wake: WakeTimer,
 }
 
-/// The sessions and the router, driven as one machine.
-pub(super) struct LowerFloors {
-    pub(super) sessions: PeerSessions,
+/// The gateway with its table of peers, whose sessions are driven with the router as one machine.
+pub(super) struct Floors {
+    pub(super) gateway: ObjectGateway,
     pub(super) router: NodeRouter,
     /// The router is being served.
     in_router: bool,
@@ -70,13 +67,13 @@ pub(super) struct AttachRosterWatch(pub(super) Weak<RosterWatch>);
 #[rtype(result = "Option<RosterRow>")]
 pub(super) struct ReadRoster;
 
-/// What [`LowerFloors`] want done.
+/// What [`Floors`] want done.
 pub(super) enum StackOutput {
     Router(RouterOutput),
     Session(NodeId, SessionOutput),
 }
 
-impl LowerFloors {
+impl Floors {
     /// A panic in here costs the router's machine, and no session.
     fn with_router<T>(&mut self, act: impl FnOnce(&mut NodeRouter) -> T) -> T {
         self.in_router = true;
@@ -86,7 +83,7 @@ impl LowerFloors {
     }
 }
 
-impl Machine for LowerFloors {
+impl Machine for Floors {
     type Output = StackOutput;
 
     /// Segments that arrive together are given to the sessions before those answer.
@@ -96,7 +93,7 @@ impl Machine for LowerFloors {
             let output = held.or_else(|| self.with_router(|router| router.machine.poll_output()));
             match output {
                 Some(RouterOutput::Segment { source, segment, authentic }) => {
-                    self.sessions.handle_segment(source, segment, authentic);
+                    self.gateway.handle_segment(source, segment, authentic);
                     continue;
                 }
                 None
@@ -108,7 +105,7 @@ impl Machine for LowerFloors {
                 ) => {}
                 Some(output) => return Some(StackOutput::Router(output)),
             }
-            let Some((peer, of_session)) = self.sessions.machines.poll_output() else {
+            let Some((peer, of_session)) = self.gateway.exchange.peers.poll_output() else {
                 return output.map(StackOutput::Router);
             };
             self.held = output;
@@ -124,11 +121,11 @@ impl Machine for LowerFloors {
 
     fn poll_timeout(&self) -> Option<Instant> {
         let router = self.router.machine.poll_timeout();
-        [self.sessions.machines.poll_timeout(), router].into_iter().flatten().min()
+        [self.gateway.exchange.peers.poll_timeout(), router].into_iter().flatten().min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
-        self.sessions.machines.handle_timeout(now);
+        self.gateway.exchange.peers.handle_timeout(now);
         self.with_router(|router| router.machine.handle_timeout(now));
     }
 }
@@ -143,81 +140,74 @@ impl NetworkStack {
             let faults = environment.own_faults("stack");
             let told = (faults.clone(), context.address().recipient());
             let gateway = ObjectGateway::new(&environment, stubs, deaths, told);
-            let NetEnvironment { node, incarnation, nodes, keys, session_timeout, .. } =
-                environment;
-            let (identity, told) = ((node, incarnation), (faults.clone(), nodes.clone()));
-            let sessions = PeerSessions::new(identity.clone(), session_timeout, told);
-            let router = NodeRouter::new(identity, (nodes, own_name), faults, keys);
-            let lower = LowerFloors { sessions, router, in_router: false, held: None };
-            NetworkStack { gateway, lower, wake: WakeTimer::default() }
+            let NetEnvironment { node, incarnation, reports, keys, .. } = environment;
+            let router =
+                NodeRouter::new((node, incarnation), (reports.nodes, own_name), faults, keys);
+            let floors = Floors { gateway, router, in_router: false, held: None };
+            NetworkStack { floors, wake: WakeTimer::default() }
         }
-    }
-
-    fn drive_gateway(&mut self) {
-        self.gateway.drive(&mut self.lower.sessions);
     }
 
     /// Carries out all that waits on every floor.
     fn drive_all(&mut self, context: &mut Context<Self>) {
-        self.drive_gateway();
+        self.floors.gateway.drive();
         self.drive(context);
     }
 
     /// Gives the sessions what the gateway sends. It goes out with what follows at once.
     fn drive_all_soon(&mut self, context: &mut Context<Self>) {
-        self.drive_gateway();
+        self.floors.gateway.drive();
         self.drive_soon(context);
     }
 
     fn carry_out_of_router(&mut self, output: RouterOutput) {
-        let sessions = &mut self.lower.sessions;
+        let Floors { gateway, .. } = &mut self.floors;
+        let (peers, now) = (&mut gateway.exchange.peers, platform::now());
         match output {
             RouterOutput::Undelivered { destination, reason } => {
                 debug!(node = %destination, %reason, "a packet came back");
-                if let Some(session) = sessions.machines.get_mut(destination) {
-                    session.handle_undelivered(reason, platform::now());
+                if let Some(peer) = peers.get_mut(destination) {
+                    peer.session.handle_undelivered(reason, now);
                 }
             }
             RouterOutput::Reachable { node, incarnation, mtu } => {
-                self.lower.with_router(|router| router.reachable(&node, incarnation));
-                let sessions = &mut self.lower.sessions;
-                if let Some(gone) = sessions.meet(&node) {
-                    self.gateway.session_discarded(gone);
+                let before = peers.get(NodeId::of(&node)).and_then(|peer| Some(peer.path?.0));
+                gateway.handle_reachable(&node, incarnation, mtu);
+                self.floors.with_router(|router| router.reachable(&node, incarnation, before));
+            }
+            RouterOutput::PathChanged { node, mtu } => {
+                if let Some(peer) = peers.get_mut(node) {
+                    peer.handle_path(mtu, now);
                 }
-                self.gateway.handle_reachable(&node, incarnation);
-                sessions.handle_reachable(NodeId::of(&node), incarnation, mtu);
             }
-            RouterOutput::PathChanged { node, mtu } => sessions.handle_path(node, mtu),
             RouterOutput::Lost { node, incarnation } => {
-                self.lower.with_router(|router| router.lost(&node, incarnation));
-                self.gateway.handle_unreachable(&node);
-                self.lower.sessions.handle_no_path(NodeId::of(&node));
+                gateway.handle_unreachable(&node);
+                self.floors.with_router(|router| router.lost(&node, incarnation));
             }
-            output => self.lower.with_router(|router| router.carry_out(output)),
+            output => self.floors.with_router(|router| router.carry_out(output)),
         }
     }
 
     fn carry_out_of_session(&mut self, peer: NodeId, output: SessionOutput) {
+        let Floors { gateway, .. } = &mut self.floors;
         match output {
             SessionOutput::Opened { incarnation, number } => {
-                let Some(node) = self.lower.sessions.name(peer) else { return };
-                info!(%node, %incarnation, "session open");
-                self.gateway.session_opened(node, incarnation, number);
+                gateway.session_opened(peer, incarnation, number);
             }
             SessionOutput::Message { message, .. } | SessionOutput::Newest { message, .. } => {
-                self.gateway.handle_message(peer, message);
+                gateway.handle_message(peer, message);
             }
             SessionOutput::Returned { message, why, sent, .. } => {
-                self.gateway.handle_returned(peer, message, why, sent);
+                gateway.handle_returned(peer, message, why, sent);
             }
             SessionOutput::Ended { incarnation, why } => {
                 info!(%peer, %incarnation, %why, "session ended");
-                self.gateway.session_ended(peer, why);
+                gateway.session_ended(peer, why);
             }
             SessionOutput::Incompatible { theirs } => {
                 error!(%peer, theirs, "the peer's sessions speak another version: update one node");
             }
-            SessionOutput::Transmit { .. } => unreachable!("the lower floors transmit"),
+            SessionOutput::Transmit { .. } => unreachable!("the floors transmit"),
         }
     }
 }
@@ -228,15 +218,13 @@ impl Actor for NetworkStack {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
-        self.gateway.take_interest();
+        self.floors.gateway.take_interest();
         context.run_interval(TIME_INTERVAL, |stack, context| {
-            stack.gateway.handle_time();
+            stack.floors.gateway.handle_time();
             stack.drive_all(context);
         });
         context.run_interval(LOOK_INTERVAL, |stack, _| {
-            stack.gateway.look();
-            stack.lower.sessions.look_at_refusals();
-            stack.lower.sessions.look_at_rates();
+            stack.floors.gateway.look();
         });
     }
 }
@@ -245,18 +233,10 @@ impl Supervised for NetworkStack {
     fn restarting(&mut self, context: &mut Context<Self>) {
         self.wake = WakeTimer::default();
         // What the old machine reported and was not carried out, the new one reports again.
-        self.lower.held = None;
-        self.lower.router.rebuild();
-        if !std::mem::take(&mut self.lower.in_router) {
-            for discarded in self.lower.sessions.replace_all() {
-                self.gateway.session_discarded(discarded);
-            }
-            let NetworkStack { gateway, lower, .. } = self;
-            // The output that panicked may not be the only one that does. Each round consumes one.
-            while let Err(again) = panics::caught(|| gateway.carry_out_all(&mut lower.sessions)) {
-                error!(%again, "a restarted network panics once more");
-            }
-            self.gateway.resolve_lost();
+        self.floors.held = None;
+        self.floors.router.rebuild(&self.floors.gateway.exchange.peers);
+        if !std::mem::take(&mut self.floors.in_router) {
+            self.floors.gateway.restart();
         }
         self.started(context);
         // Later, where a panic leads to the next restart.
@@ -265,10 +245,10 @@ impl Supervised for NetworkStack {
 }
 
 impl MachineActor for NetworkStack {
-    type Machine = LowerFloors;
+    type Machine = Floors;
 
-    fn driven(&mut self) -> (&mut LowerFloors, &mut WakeTimer) {
-        (&mut self.lower, &mut self.wake)
+    fn driven(&mut self) -> (&mut Floors, &mut WakeTimer) {
+        (&mut self.floors, &mut self.wake)
     }
 
     fn carry_out(&mut self, output: StackOutput, _: &mut Context<Self>) {
@@ -276,7 +256,7 @@ impl MachineActor for NetworkStack {
             StackOutput::Router(output) => self.carry_out_of_router(output),
             StackOutput::Session(peer, output) => self.carry_out_of_session(peer, output),
         }
-        self.drive_gateway();
+        self.floors.gateway.drive();
     }
 }
 
@@ -284,7 +264,7 @@ impl Handler<AddLinks> for NetworkStack {
     type Result = ();
 
     fn handle(&mut self, message: AddLinks, _: &mut Context<Self>) {
-        self.lower.with_router(|router| router.add_links(message));
+        self.floors.with_router(|router| router.add_links(message));
     }
 }
 
@@ -292,7 +272,7 @@ impl Handler<LinkChanged> for NetworkStack {
     type Result = ();
 
     fn handle(&mut self, message: LinkChanged, context: &mut Context<Self>) {
-        self.lower.with_router(|router| router.handle_link(message));
+        self.floors.with_router(|router| router.handle_link(message));
         self.drive(context);
     }
 }
@@ -302,7 +282,7 @@ impl Handler<ReceivedOnLink> for NetworkStack {
 
     fn handle(&mut self, message: ReceivedOnLink, context: &mut Context<Self>) {
         let ReceivedOnLink { link, load } = message;
-        self.lower.with_router(|router| router.handle_load(link, load));
+        self.floors.with_router(|router| router.handle_load(link, load));
         self.drive_soon(context);
     }
 }
@@ -311,7 +291,7 @@ impl Handler<SendToPeer> for NetworkStack {
     type Result = ();
 
     fn handle(&mut self, message: SendToPeer, context: &mut Context<Self>) {
-        self.gateway.handle_send(message);
+        self.floors.gateway.handle_send(message);
         self.drive_all_soon(context);
     }
 }
@@ -322,7 +302,7 @@ impl Handler<LocalInput> for NetworkStack {
     fn handle(&mut self, input: LocalInput, context: &mut Context<Self>) {
         // A panic must not come between the order to end and what peers are told.
         let is_end = matches!(input, LocalInput::Ending);
-        self.gateway.handle_local(input);
+        self.floors.gateway.handle_local(input);
         match is_end {
             true => self.drive_all(context),
             false => self.drive_all_soon(context),
@@ -336,18 +316,8 @@ impl Handler<IsolateNode> for NetworkStack {
     type Result = Result<RecoveryDone, RecoveryFailed>;
 
     fn handle(&mut self, message: IsolateNode, context: &mut Context<Self>) -> Self::Result {
-        let node = message.node.clone();
-        let is_change = self.lower.with_router(|router| router.handle_isolation(message));
-        match is_change {
-            Some(true) => self.gateway.handle_isolated(&node),
-            // What it sent meanwhile was not read: only a new session makes both agree again.
-            Some(false) => {
-                self.gateway.handle_admitted(&node);
-                if let Some(session) = self.lower.sessions.machines.get_mut(NodeId::of(&node)) {
-                    session.handle_restart(platform::now());
-                }
-            }
-            None => {}
+        if self.floors.gateway.handle_isolation(&message.node, message.isolated) {
+            self.floors.with_router(|router| router.handle_isolation(message));
         }
         self.drive_all(context);
         Ok(RecoveryDone::default())
@@ -358,8 +328,8 @@ impl Handler<RosterChanged> for NetworkStack {
     type Result = ();
 
     fn handle(&mut self, RosterChanged(keys): RosterChanged, context: &mut Context<Self>) {
-        self.gateway.handle_roster(&keys);
-        self.lower.with_router(|router| router.handle_roster(keys));
+        self.floors.gateway.handle_roster(&keys);
+        self.floors.with_router(|router| router.handle_roster(keys));
         self.drive_all(context);
     }
 }
@@ -368,7 +338,7 @@ impl Handler<RosterFound> for NetworkStack {
     type Result = ();
 
     fn handle(&mut self, RosterFound(keys): RosterFound, context: &mut Context<Self>) {
-        self.gateway.announce_roster(&keys);
+        self.floors.gateway.announce_roster(&keys);
         self.drive_all(context);
     }
 }
@@ -377,7 +347,7 @@ impl Handler<AttachRosterWatch> for NetworkStack {
     type Result = ();
 
     fn handle(&mut self, AttachRosterWatch(watch): AttachRosterWatch, _: &mut Context<Self>) {
-        self.gateway.attach_roster_watch(watch);
+        self.floors.gateway.attach_roster_watch(watch);
     }
 }
 
@@ -385,7 +355,7 @@ impl Handler<ReadRoster> for NetworkStack {
     type Result = MessageResult<ReadRoster>;
 
     fn handle(&mut self, _: ReadRoster, _: &mut Context<Self>) -> Self::Result {
-        MessageResult(self.lower.router.roster())
+        MessageResult(self.floors.router.roster())
     }
 }
 
@@ -393,7 +363,7 @@ impl Handler<SafeStateChanged> for NetworkStack {
     type Result = ();
 
     fn handle(&mut self, message: SafeStateChanged, context: &mut Context<Self>) {
-        self.gateway.handle_safe_state(message);
+        self.floors.gateway.handle_safe_state(message);
         self.drive_all(context);
     }
 }
@@ -403,7 +373,7 @@ impl Handler<SendToDirectory> for NetworkStack {
 
     fn handle(&mut self, message: SendToDirectory, context: &mut Context<Self>) {
         let SendToDirectory { node, message } = message;
-        self.gateway.exchange.handle_directory(NodeId::of(&node), message);
+        self.floors.gateway.exchange.handle_directory(NodeId::of(&node), message);
         self.drive_all_soon(context);
     }
 }
@@ -423,7 +393,7 @@ impl Handler<Reroute> for NetworkStack {
             }
         };
         let (answer, verdict) = oneshot::channel();
-        self.lower.with_router(|router| router.inquire(node, answer));
+        self.floors.with_router(|router| router.inquire(node, answer));
         self.drive(context);
         PendingAnswer::new(async {
             verdict.await.unwrap_or_else(|_| Err("the network was restarted".into()))
@@ -435,7 +405,7 @@ impl Handler<ReadRoutes> for NetworkStack {
     type Result = Routes;
 
     fn handle(&mut self, _: ReadRoutes, _: &mut Context<Self>) -> Routes {
-        let machine = &self.lower.router.machine;
+        let machine = &self.floors.router.machine;
         let mut routes: Vec<_> = machine.routes().map(|(_, route)| route.clone()).collect();
         routes.sort_by(|a, b| a.node.cmp(&b.node));
         Routes { routes }
@@ -446,11 +416,12 @@ impl Handler<ReadSessions> for NetworkStack {
     type Result = MessageResult<ReadSessions>;
 
     fn handle(&mut self, _: ReadSessions, _: &mut Context<Self>) -> Self::Result {
-        let rows = self.lower.sessions.rows().map(|(id, node, session, rate)| SessionRow {
-            node: node.clone(),
-            status: session.status(),
-            rate,
-            differences: self.gateway.differences(id),
+        let ObjectGateway { exchange, sessions, .. } = &self.floors.gateway;
+        let rows = exchange.peers.iter().map(|(id, peer)| SessionRow {
+            node: peer.node.clone(),
+            status: peer.session.status(),
+            rate: sessions.rates.rate(id),
+            differences: peer.differences().to_vec(),
         });
         MessageResult(rows.collect())
     }
@@ -460,7 +431,7 @@ impl Handler<InjectPanic> for NetworkStack {
     type Result = ();
 
     fn handle(&mut self, _: InjectPanic, _: &mut Context<Self>) {
-        self.lower.with_router(|_| panic!("the router panics on purpose"));
+        self.floors.with_router(|_| panic!("the router panics on purpose"));
     }
 }
 

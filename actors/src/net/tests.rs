@@ -15,7 +15,7 @@ mod paths;
 mod pressure;
 mod versions;
 
-use super::{LinkSpec, NetEnvironment, NetHandle, NetworkSpec, start};
+use super::{LinkSpec, NetEnvironment, NetHandle, NetReports, NetworkSpec, start};
 use crate::actuator::ActuatorTable;
 use crate::arbiter::pool::ArbiterPool;
 use crate::component::environment::ComponentEnvironment;
@@ -199,12 +199,13 @@ impl Robot {
             topics: host.topics().clone(),
             dead_letters: host.dead_letters.clone(),
             may_be_away: SortedSet::new(),
-            recoverer: Some(faults.recipient()),
-            links: Some(links.recipient()),
-            stalls: None,
-            nodes: Some(nodes.recipient()),
-            faults: Some(declared.recipient()),
-            cleared: None,
+            reports: NetReports {
+                recoverer: Some(faults.recipient()),
+                links: Some(links.recipient()),
+                nodes: Some(nodes.recipient()),
+                faults: Some(declared.recipient()),
+                ..NetReports::default()
+            },
             session_timeout: IDLE_TIMEOUT,
             directory: None,
             keys: None,

@@ -51,7 +51,6 @@ pub mod session;
 pub mod trust;
 pub mod wire;
 
-pub use crate::machine_set::MachineSet;
 pub use byte_rate::{ByteRate, ByteRates};
 pub use link::link_set::{LinkSet, LinkSetOutput};
 pub use link::{
@@ -61,7 +60,7 @@ pub use link::{
 pub use link_layer::{AddLinkError, LinkAddress, LinkLayer, LinkLayerOutput, NeighbourKey};
 pub use link_traffic::LinkTraffic;
 pub use peer_protocol::receive_backlog::ReceiveBacklog;
-pub use peer_protocol::{PeerProtocol, PeerProtocolOutput};
+pub use peer_protocol::{Peer, PeerProtocol, PeerProtocolOutput, Peers};
 pub use routing::topology::Route;
 pub use routing::{Router, RouterConfig, RouterOutput};
 pub use session::ordering_key::OrderingKey;

@@ -5,7 +5,7 @@ use blastema_core::net::OrderingKey;
 use blastema_core::net::link::LinkConfig;
 use blastema_core::net::peer_protocol::{PeerProtocolOutput, TopicContract};
 use blastema_core::net::routing::{LinkHealth, LinkStatus};
-use blastema_core::net::session::VERSION;
+use blastema_core::net::session::{IDLE_TIMEOUT, VERSION};
 use blastema_core::net::trust::access::AccessPolicy;
 use blastema_core::net::trust::crypto::Seed;
 use blastema_core::net::trust::policy::Role;
@@ -225,6 +225,13 @@ fn router() -> Router {
     router
 }
 
+/// A protocol that has met a peer.
+fn exchange() -> (PeerProtocol, NodeId) {
+    let mut exchange = PeerProtocol::new(name("own"), Incarnation(1), IDLE_TIMEOUT);
+    let peer = exchange.meet(&name("peer"), 0, Instant::ORIGIN);
+    (exchange, peer)
+}
+
 /// A session that is open, and its own tag.
 fn session() -> (Session, u32) {
     let config = SessionConfig {
@@ -319,9 +326,8 @@ proptest! {
 
     #[test]
     fn no_messages_panic_an_exchange(messages in vec(hostile(), 0..30)) {
-        let mut exchange = PeerProtocol::default();
-        let peer = NodeId(1);
-        exchange.handle_opened(peer, Incarnation(1), Instant::ORIGIN);
+        let (mut exchange, peer) = exchange();
+        exchange.handle_opened(peer, (Incarnation(1), 1), Instant::ORIGIN);
         for message in messages {
             exchange.handle_message(peer, message, Instant::ORIGIN);
             while let Some(output) = exchange.poll_output() {
@@ -338,10 +344,9 @@ proptest! {
         messages in vec(changed_of(genuine_of_peer()), 0..60),
         late in 0..3usize,
     ) {
-        let mut exchange = PeerProtocol::default();
+        let (mut exchange, peer) = exchange();
         exchange.handle_interest(news(), vec![ContractIdentity::of::<Note>()]);
-        let peer = NodeId::of(&name("peer"));
-        exchange.handle_opened(peer, Incarnation(1), Instant::ORIGIN);
+        exchange.handle_opened(peer, (Incarnation(1), 1), Instant::ORIGIN);
         let mut bound = BTreeSet::new();
         for (n, message) in messages.into_iter().enumerate() {
             // At once, or while the session goes on.

@@ -1,12 +1,9 @@
-//! What peers may not do here, and what this node may not do at peers.
+//! The fault *forbidden*: what peers may not do here, and what this node may not do at peers.
 
-use super::ObjectGateway;
-use crate::net::keys::NodeKeys;
+use crate::net::fault_reporter::FaultReporter;
 use crate::platform;
-use blastema_contract::session::DirectoryReport;
-use blastema_core::net::NodeId;
+use crate::registry::access::AccessControl;
 use blastema_core::net::trust::access::REFUSAL_REMINDER;
-use blastema_core::sorted::SortedSet;
 use blastema_core::{DeliveryError, FaultKind, Instant};
 use tracing::error;
 
@@ -17,55 +14,36 @@ pub(super) struct ForbiddenAlarm {
     stands: bool,
     /// When a peer was refused something for the last time, at the last look.
     last_refusal: Option<Instant>,
-    /// Peers that refuse a subscription of this node.
-    refused_by: SortedSet<NodeId>,
 }
 
-impl ObjectGateway {
+impl ForbiddenAlarm {
     /// A peer refuses a subscription of this node.
-    pub(super) fn subscription_forbidden(&mut self, peer: NodeId, why: &DeliveryError) {
+    pub(super) fn refused(&mut self, why: &DeliveryError, faults: &FaultReporter) {
         error!("no event arrives: {why}");
-        self.forbidden.refused_by.insert(peer);
-        self.forbidden.stands = true;
-        self.wiring.faults.declare(FaultKind::Forbidden, format!("no event arrives: {why}"));
+        self.stands = true;
+        faults.declare(FaultKind::Forbidden, format!("no event arrives: {why}"));
     }
-
-    /// A peer refuses no subscription any more, or the session with it has ended.
-    pub(super) fn forget_forbidden(&mut self, peer: NodeId) {
-        self.forbidden.refused_by.remove(&peer);
-    }
-
-    /// So many refusals of one node between two looks, a second apart, are an offence of it.
-    const FLOOD: u64 = 1_000;
 
     /// Declares what was refused since the last look, and clears the fault when nothing was for a
-    /// minute.
-    pub(super) fn look_at_access(&mut self) {
-        for node in self.wiring.registry.access().take_floods(Self::FLOOD) {
-            let what = "it asks a thousand times a second for what it may not";
-            self.offends(NodeId::of(&node), what);
-        }
-        let alarm = &mut self.forbidden;
-        if let Some(row) = self.wiring.registry.access().newest_of_a_program()
-            && alarm.last_refusal.replace(row.last) != Some(row.last)
-            && !std::mem::replace(&mut alarm.stands, true)
+    /// minute, and no peer refuses a subscription now.
+    pub(super) fn look(
+        &mut self,
+        access: &AccessControl,
+        is_refused: bool,
+        faults: &FaultReporter,
+    ) {
+        if let Some(row) = access.newest_of_a_program()
+            && self.last_refusal.replace(row.last) != Some(row.last)
+            && !std::mem::replace(&mut self.stands, true)
         {
             let detail =
                 format!("refused {} times: {}", row.times, DeliveryError::from(&row.denied));
-            self.wiring.faults.declare(FaultKind::Forbidden, detail);
+            faults.declare(FaultKind::Forbidden, detail);
         }
         let is_over = |last: Instant| platform::now() >= last + REFUSAL_REMINDER;
-        if alarm.stands && alarm.refused_by.is_empty() && alarm.last_refusal.is_none_or(is_over) {
-            alarm.stands = false;
-            self.wiring.faults.clear(FaultKind::Forbidden);
+        if self.stands && !is_refused && self.last_refusal.is_none_or(is_over) {
+            self.stands = false;
+            faults.clear(FaultKind::Forbidden);
         }
-    }
-
-    /// What peers may do here is another thing now.
-    pub(in crate::net) fn handle_roster(&mut self, keys: &NodeKeys) {
-        let policy = keys.access_policy();
-        self.wiring.registry.access().replace(policy.clone());
-        self.tell_directory(DirectoryReport::Policy(Box::new(policy.clone())));
-        self.exchange.handle_access(policy);
     }
 }

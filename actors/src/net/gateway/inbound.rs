@@ -82,7 +82,8 @@ impl ObjectGateway {
                 }
                 (Err(difference), None) => {
                     let difference = difference.to_string();
-                    if self.peers.get_mut(&peer).is_some_and(|peer| peer.differs(&difference)) {
+                    let record = self.exchange.peers.get_mut(peer);
+                    if record.is_some_and(|record| record.differs(&difference)) {
                         error!(%object, "a peer's contract differs: {difference}");
                     }
                     skeleton.declare(FaultKind::ContractMismatch, difference.clone());
@@ -223,7 +224,7 @@ impl ObjectGateway {
         for (peer, refusals) in looks {
             let alarm = self.queues.complaints.handle_look(peer, refusals);
             let Some(since) = alarm else { continue };
-            let node = self.peers.get(&peer).map_or(peer.to_string(), |peer| peer.node.to_string());
+            let node = self.exchange.peers.name(peer);
             let lost = since.too_large;
             let detail = format!(
                 "{node} does not stop sending to objects that have no room, as it was told: {lost} \

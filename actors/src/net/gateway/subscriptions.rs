@@ -7,15 +7,27 @@ use crate::net::credit::SenderCredit;
 use crate::net::stub::PeerSendState;
 use crate::topic::{EventForward, ForwardId, RemoteForward, Reservation, TopicKey, described};
 use actix::prelude::*;
+use blastema_contract::monitor::NodeReported;
 use blastema_core::delivery::dead_letters::DeadReason;
+use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
-use blastema_core::net::peer_protocol::TopicContract;
+use blastema_core::net::peer_protocol::{MessageTarget, TopicContract};
 use blastema_core::{
-    ContractIdentity, Credit, Delivery, DeliveryError, GatherBuffer, Instant, PeerIdentity,
-    TrafficClass,
+    ContractIdentity, Credit, Delivery, DeliveryError, FaultKind, GatherBuffer, Instant, NodeName,
+    PeerIdentity, TrafficClass,
 };
 use std::pin::Pin;
 use std::sync::Arc;
+use tracing::{debug, warn};
+
+/// A topic of which one event in so many finds no capacity, within a second, is overloaded,
+const LOST_SHARE: u64 = 10;
+/// if there are so many of them.
+const LOST_MIN: u64 = 10;
+
+/// Subscriptions of the past whose losses are counted, of all peers: as many as one peer has at
+/// most.
+const PAST_MAX: usize = 16 * 1024;
 
 /// The events of one topic that go to one peer.
 pub(super) struct Forwarded {
@@ -141,9 +153,11 @@ impl ObjectGateway {
                 }
             },
         };
-        let Some(known) = self.peers.get(&peer) else { return };
-        let (send_state, gateway) = (known.send_state.clone(), self.wiring.stack.clone());
-        let (losses, node) = (self.losses(known, &key), known.node.clone());
+        let Some(node) = self.exchange.peers.get(peer).map(|peer| peer.node.clone()) else {
+            return;
+        };
+        let send_state = self.wiring.stubs.send_state(&node);
+        let (losses, gateway) = (self.losses(&node, &key), self.wiring.stack.clone());
         let target = ForwardTarget { gateway, peer, subscription, losses: losses.clone() };
         let credit = send_state.credits().sender(by.1);
         let forward = PeerForward { target, send_state, class: by.1, credit };
@@ -201,7 +215,7 @@ impl ObjectGateway {
         difference: &str,
     ) -> String {
         let here = self.wiring.registry.node().map_or("this node".into(), |node| node.to_string());
-        let there = self.peers.get(&peer).map_or(peer.to_string(), |peer| peer.node.to_string());
+        let there = self.exchange.peers.name(peer);
         let carried = described(&ours.brief());
         let wanted = theirs.first().map_or_else(String::new, described);
         format!(
@@ -209,6 +223,127 @@ impl ObjectGateway {
              {difference}",
             key.topic
         )
+    }
+
+    /// What this peer does not get of the topic.
+    pub(super) fn losses(&self, node: &NodeName, key: &TopicKey) -> Arc<UndeliveredEvents> {
+        Arc::new(UndeliveredEvents::new(self.wiring.dead_letters.clone(), node, key))
+    }
+
+    /// Records in the dead-letter log the losses counted since the last call.
+    pub(super) fn collect_losses(&self) {
+        self.forwards.values().for_each(|forwarded| forwarded.losses.collect());
+        self.past.values().for_each(|past| past.losses.collect());
+    }
+
+    /// Ends a subscription that the peer has not ended. What is published is lost to the peer, and
+    /// counted, until it subscribes again; and where it has left or may be away, no longer than its
+    /// session has lasted.
+    pub(super) fn retire(&mut self, forward: (NodeId, u32), why: &DeliveryError) {
+        let Some(ended) = self.forwards.remove(&forward) else { return };
+        ended.losses.end(why.into());
+        let is_away = matches!(why, DeliveryError::Left { .. })
+            || self.wiring.may_be_away.contains(&ended.losses.node);
+        let (is_kept, topics) = (self.past.len() < PAST_MAX, &self.wiring.topics);
+        match is_kept && !is_away {
+            true => topics.renew_forwards(&ended.key.topic),
+            false => topics.end_forward(&ended.id),
+        }
+        if is_kept {
+            let before = self.past.insert((forward.0, ended.key.topic.clone()), ended);
+            before.iter().for_each(|before| topics.end_forward(&before.id));
+        }
+    }
+
+    /// The peer has told what it listens to: what it listened to before is over.
+    pub(super) fn forget_past(&mut self, peer: NodeId) {
+        let topics = &self.wiring.topics;
+        self.past.retain(|(of, _), past| {
+            if *of == peer {
+                topics.end_forward(&past.id);
+            }
+            *of != peer
+        });
+    }
+
+    /// Counts a message to this peer that did not arrive, or perhaps not.
+    pub(super) fn record_undelivered(
+        &mut self,
+        peer: NodeId,
+        to: MessageTarget,
+        why: &DeliveryError,
+    ) {
+        match to {
+            MessageTarget::Object(object, contract) => {
+                let known = self.exchange.peers.get_mut(peer);
+                let node = known.map(|known| {
+                    let by_session = [DeadReason::Unreachable, DeadReason::PeerDied];
+                    // The middleware's own are repeated.
+                    let is_lost = !contract.starts_with("blastema/");
+                    known.lost += u64::from(is_lost && by_session.contains(&why.into()));
+                    known.node.clone()
+                });
+                self.wiring.dead_letters.take_for(node, &object, contract, why);
+            }
+            MessageTarget::Subscription(number) => match self.losses_under(peer, number) {
+                Some(losses) => losses.write_down(why.into(), 1),
+                None => debug!(%peer, %why, "an event came back whose subscription has ended"),
+            },
+            MessageTarget::Forgotten => {
+                debug!(%peer, %why, "a message came back, and to whom is not known")
+            }
+        }
+    }
+
+    /// Reports how many accepted messages were lost with the sessions of each peer, until a session
+    /// is open with it and no more are found.
+    pub(super) fn look_at_losses(&mut self) {
+        let Some(nodes) = &self.wiring.nodes else { return };
+        for (_, peer) in self.exchange.peers.iter_mut().filter(|(_, peer)| peer.lost > 0) {
+            let found = peer.lost;
+            let condition = if found > peer.lost_reported {
+                peer.lost_reported = found;
+                let detail = format!(
+                    "{found} messages for {} that had been accepted did not arrive, since sessions \
+                     ended; the dead letters name their receivers",
+                    peer.node
+                );
+                warn!("{detail}");
+                NodeCondition::MessagesLost { detail }
+            } else if self.wiring.stubs.send_state(&peer.node).has_session() {
+                (peer.lost, peer.lost_reported) = (0, 0);
+                NodeCondition::InSession
+            } else {
+                continue;
+            };
+            let (node, incarnation) = (peer.node.clone(), peer.incarnation);
+            nodes.do_send(NodeReported { node, incarnation, condition });
+        }
+    }
+
+    /// Declares the topics that lose more than a share of their events for lack of capacity.
+    pub(super) fn look_at_topics(&self) {
+        for (topic, [events, lost]) in self.wiring.topics.take_losses() {
+            if lost < LOST_MIN || lost * LOST_SHARE < events {
+                continue;
+            }
+            let detail = format!(
+                "of {events} events on {topic} in a second, {lost} found no capacity with a listener \
+                 or on the way to another node: publish less, use `deliver`, or make the listeners' \
+                 queues larger; the dead letters name who lost them"
+            );
+            self.wiring.faults.declare_passing(FaultKind::Overload, detail);
+        }
+    }
+
+    /// What counts the events that went to the peer under this number: the version of a contract is
+    /// added to that of the subscription, so that it is the nearest below. As long as the peer has
+    /// not told what it listens to, they went in the session before.
+    fn losses_under(&self, peer: NodeId, number: u32) -> Option<&UndeliveredEvents> {
+        let past = self.past.iter().filter(|((of, _), _)| *of == peer).map(|(_, past)| past);
+        let present = self.forwards.range((peer, 0)..=(peer, number)).next_back();
+        let mut all = past.chain(present.map(|(_, forwarded)| forwarded));
+        all.find(|of| of.by.0 == number).map(|of| &*of.losses)
     }
 }
 

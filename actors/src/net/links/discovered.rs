@@ -1,4 +1,5 @@
-//! Links to neighbours that are not described: found by the beacons on this network.
+//! Links to neighbours that are not described: found by the beacons on this network, or operators
+//! that come by themselves, for no node describes where an operator is.
 
 use super::LinksActor;
 use crate::net::LinkSpec;
@@ -17,7 +18,7 @@ use blastema_core::net::discovery::{
 use blastema_core::net::refusal_alarms::RefusalAlarms;
 use blastema_core::net::routing::{LinkHealth, LinkStatus};
 use blastema_core::net::trust::beacon::{BeaconKeys, CheckedBeacon};
-use blastema_core::net::{LinkId, LinkState};
+use blastema_core::net::{HELLO_INTERVAL, LinkId, LinkState, NodeId, PEER_TIMEOUT};
 use blastema_core::{FaultKind, Instant, NodeName, SlidingWindow};
 use bytes::Bytes;
 use std::net::{IpAddr, SocketAddr};
@@ -28,6 +29,9 @@ use tracing::{debug, info, warn};
 const BEACON_INTERVAL: Duration = Duration::from_secs(1);
 /// Beacons that are listened to in a second: each node on the network sends one.
 const BEACONS_MAX: u32 = 1000;
+/// So many operators have a link on one network that no node describes: one at work, and one whose
+/// program has just ended.
+pub(in crate::net) const DIALED_IN_MAX: usize = 2;
 /// The first bytes of a beacon, with its version.
 const BEACON_MARK: &[u8] = b"BLB\x01";
 
@@ -215,6 +219,50 @@ impl Handler<BeaconReport> for LinksActor {
 }
 
 impl LinksActor {
+    /// The operators of the roster are let in from wherever they come. Links that were made for
+    /// some before the links were built again are gone with them.
+    pub(super) fn let_operators_dial_in(&mut self) {
+        let Some((keys, _)) = &self.wiring.seal else { return };
+        if let Err(error) = self.bundle.set_dial_in(keys.operators()) {
+            warn!(network = %self.wiring.network, "an operator cannot connect: {error}");
+        }
+    }
+
+    /// An operator has proved itself and has no link here yet.
+    pub(super) fn dialed_in(&mut self, peer: NodeId, address: MediumAddress) {
+        let node = self.wiring.seal.as_ref().and_then(|(keys, _)| keys.name_of(peer).cloned());
+        let Some(node) = node else { return };
+        let number = self.wiring.dial_in.iter().find(|number| !self.specs.contains_key(*number));
+        let Some(&number) = number else {
+            debug!(network = %self.wiring.network, %node, "{DIALED_IN_MAX} operators are connected");
+            return;
+        };
+        let spec = LinkSpec {
+            name: format!("{}/{node}", self.wiring.network).into(),
+            remote: address.clone(),
+            neighbour: Some(node.clone()),
+            cost: None,
+            hello_interval: HELLO_INTERVAL,
+            expected_within: PEER_TIMEOUT,
+        };
+        let now = platform::now();
+        let link = super::link(&self.wiring, &spec, now);
+        if self.bundle.insert_dialed_in(number, link, (peer, address.clone()), now) {
+            info!(network = %self.wiring.network, %node, %address, "an operator connects");
+            self.specs.insert(number, spec);
+        } else {
+            // It is told with each frame; a medium with connections needs the operator's address.
+            debug!(network = %self.wiring.network, %node, %address, "no link to the operator");
+        }
+    }
+
+    /// Forgets such links before the links are built again: operators connect again.
+    pub(super) fn forget_dialed_in(&mut self) {
+        let numbers = self.wiring.dial_in.clone().into_iter();
+        let numbers: Vec<_> = numbers.filter(|number| self.specs.contains_key(number)).collect();
+        numbers.into_iter().for_each(|number| self.remove(number));
+    }
+
     /// Hears and sends beacons from now on.
     pub(super) fn attach_beacons(&self, context: &mut Context<Self>) {
         let Some(discovery) = &self.discovery else { return };
@@ -300,10 +348,8 @@ impl LinksActor {
         }
         self.tell_monitor(number, LinkCondition::Forgotten);
         self.bundle.remove(number);
-        self.forget_namesake(number);
-        self.forget_key_in_use(number);
+        self.free_names(|names| names.forget(number));
         self.specs.remove(&number);
-        self.dialed_in.remove(&number);
     }
 
     /// Tells discovery whether a link is up, and with whom.

@@ -10,12 +10,35 @@ use blastema_core::net::link::PeerRefusal;
 use blastema_core::net::seal::SealRefusals;
 use blastema_core::net::wire::frame::NameHolder;
 use blastema_core::net::{Link, LinkId, Quality, Refusals};
-use blastema_core::{FaultKind, Incarnation};
+use blastema_core::sorted::{SortedMap, SortedSet};
+use blastema_core::{FaultKind, Incarnation, Instant};
 use std::time::Duration;
 use tracing::{error, warn};
 
 /// A process that is told to stop may be started again by a service manager.
 const KEY_FREE_AFTER: Duration = Duration::from_secs(10);
+
+/// Names and keys that two nodes have.
+#[derive(Default)]
+pub(super) struct NamesTaken {
+    /// Links at whose other end is a node of our name, until another one is.
+    namesakes: SortedSet<LinkId>,
+    /// Links whose neighbour's key is in use twice, and when the other node was there last. That
+    /// outlives the actor's incarnation, and ends when the other has been silent.
+    keys_in_use: SortedMap<LinkId, Instant>,
+}
+
+impl NamesTaken {
+    fn are_taken(&self) -> bool {
+        !self.namesakes.is_empty() || !self.keys_in_use.is_empty()
+    }
+
+    /// The link is no more.
+    pub(super) fn forget(&mut self, number: LinkId) {
+        self.namesakes.remove(&number);
+        self.keys_in_use.remove(&number);
+    }
+}
 
 impl LinksActor {
     /// Frames that are refused for seconds are a fault until none was refused for a while: another
@@ -60,10 +83,10 @@ impl LinksActor {
 
     /// The neighbour never came. Reports the link as down; that it is up is reported when it comes.
     pub(super) fn missing(&mut self, number: LinkId, hello_received: bool) {
-        if self.dialed_in.contains(&number) {
+        if self.wiring.dial_in.contains(&number) {
             return self.remove(number);
         }
-        if self.mtu.is_none() {
+        if self.medium.mtu.is_none() {
             // Why no hello was received was reported, and is found here.
             self.unheard.insert(number);
             return;
@@ -136,7 +159,7 @@ impl LinksActor {
         (open, refused): (Incarnation, Incarnation),
         [at, address]: [&MediumAddress; 2],
     ) {
-        if self.keys_in_use.insert(number, platform::now()).is_some() {
+        if self.names.keys_in_use.insert(number, platform::now()).is_some() {
             return;
         }
         let Some(spec) = self.specs.get(&number) else { return };
@@ -156,7 +179,7 @@ impl LinksActor {
     pub(super) fn taken(&self, number: LinkId, holder: &NameHolder) {
         let NameHolder { incarnation, address } = holder;
         let (node, own) = (&self.wiring.node, self.wiring.incarnation);
-        let local = &self.local;
+        let local = &self.medium.local;
         // The neighbour may know no other address of that name.
         let address: &str = if address == local { NameHolder::NOWHERE } else { address };
         let neighbour = self.bundle.get(number).and_then(Link::neighbour);
@@ -175,32 +198,21 @@ impl LinksActor {
     }
 
     /// Forgets keys that no other node has used for a while.
-    pub(super) fn forget_keys_in_use(&mut self) {
-        let now = platform::now();
-        let free = self.keys_in_use.iter().filter(|(_, last)| now - **last >= KEY_FREE_AFTER);
-        let free: Vec<_> = free.map(|(number, _)| *number).collect();
-        for number in free {
-            self.forget_key_in_use(number);
-        }
+    pub(super) fn forget_unused_keys(&mut self) {
+        let is_used = |last: Instant| platform::now() - last < KEY_FREE_AFTER;
+        self.free_names(|names| names.keys_in_use.retain(|_, last| is_used(*last)));
     }
 
-    /// The neighbour's key is in use once, or the link is no more.
-    pub(super) fn forget_key_in_use(&mut self, number: LinkId) {
-        if self.keys_in_use.remove(&number).is_some() {
-            self.clear_names();
-        }
-    }
-
-    /// The link has another neighbour, or is no more.
+    /// The link has another neighbour.
     pub(super) fn forget_namesake(&mut self, number: LinkId) {
-        if self.namesakes.remove(&number) {
-            self.clear_names();
-        }
+        self.free_names(|names| _ = names.namesakes.remove(&number));
     }
 
-    /// The fault is over when no name and no key is taken twice.
-    fn clear_names(&self) {
-        if self.namesakes.is_empty() && self.keys_in_use.is_empty() {
+    /// Frees names and keys. The fault is over when none is taken twice.
+    pub(super) fn free_names(&mut self, free: impl FnOnce(&mut NamesTaken)) {
+        let were_taken = self.names.are_taken();
+        free(&mut self.names);
+        if were_taken && !self.names.are_taken() {
             self.wiring.faults.clear(FaultKind::NameTaken);
         }
     }
@@ -210,7 +222,7 @@ impl LinksActor {
         error!(network = %self.wiring.network, %link, "{refusal}");
         self.tell_monitor(number, LinkCondition::Down { reason: refusal.to_string() });
         if let PeerRefusal::NameTaken { .. } | PeerRefusal::NumberTaken { .. } = refusal {
-            self.namesakes.insert(number);
+            self.names.namesakes.insert(number);
             let detail = format!("{refusal}, at the other end of {link}: give one another name");
             self.wiring.faults.declare(FaultKind::NameTaken, detail);
         }

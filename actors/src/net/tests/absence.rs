@@ -89,7 +89,9 @@ fn a_peer_that_has_restarted_is_not_connected_by_the_session_of_its_last_incarna
         let peer = right();
         for (incarnation, is_connected) in [(1, true), (2, false)] {
             let (node, incarnation) = (peer.clone(), Incarnation(incarnation));
-            left.net.on_stack(move |stack| stack.gateway.handle_reachable(&node, incarnation));
+            left.net.on_stack(move |stack| {
+                stack.floors.gateway.handle_reachable(&node, incarnation, 1000)
+            });
             settle().await;
             let connected = tokio::time::timeout(MS, left.net.connected(&peer)).await;
             assert_eq!(connected.is_ok(), is_connected);

@@ -33,7 +33,7 @@ async fn under_fire(
         for segment in words.iter().cycle().take(20) {
             let segment = segment.clone();
             victim.net.on_stack(move |stack| {
-                stack.lower.sessions.handle_segment(source, segment, authentic);
+                stack.floors.gateway.handle_segment(source, segment, authentic);
             });
         }
         assert_eq!(sender.ask_within(Add(1), 100 * MS).await.unwrap(), before + n);
@@ -209,7 +209,7 @@ fn what_is_refused_in_passing_is_no_fault() {
         for _ in 0..200 {
             let segment = Segment::Reset { tag: 99 }.encode();
             left.net.on_stack(move |stack| {
-                stack.lower.sessions.handle_segment(source, segment, false);
+                stack.floors.gateway.handle_segment(source, segment, false);
             });
         }
         advance(10_000 * MS).await;

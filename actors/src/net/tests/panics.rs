@@ -4,7 +4,6 @@ use super::*;
 use crate::net::gateway_messages::SendToPeer;
 use crate::net::stack::StackOutput;
 use crate::registry::ReplyTo;
-use blastema_contract::strategy::IsolateNode;
 use blastema_core::net::{NodeId, Router, RouterConfig, RouterOutput, SessionOutput};
 use blastema_core::{ContractIdentity, Machine, ObjectAddress, TrafficClass};
 
@@ -92,7 +91,7 @@ fn any_panic_of_the_stack_builds_its_router_again() {
         left.net.on_stack(|stack| {
             // A machine that knows of no link, as after changes that a panic has lost.
             let config = RouterConfig::new(named("left"), Incarnation(1));
-            stack.lower.router.machine = Router::new(config, platform::now());
+            stack.floors.router.machine = Router::new(config, platform::now());
             panic!("the sessions panic on purpose");
         });
         advance(2000 * MS).await;
@@ -110,8 +109,8 @@ fn a_request_is_resolved_whose_resolution_a_panic_has_lost() {
         let request = sent::<Add>(&left, "nowhere", Some(reply_to));
 
         left.net.on_stack(|stack| {
-            stack.gateway.handle_send(request);
-            let output = stack.gateway.exchange.poll_output();
+            stack.floors.gateway.handle_send(request);
+            let output = stack.floors.gateway.exchange.poll_output();
             panic!("{output:?} panics on purpose");
         });
         settle().await;
@@ -131,7 +130,7 @@ fn several_outputs_that_panic_cost_one_restart() {
         });
 
         left.net.on_stack(|stack| {
-            requests.into_iter().for_each(|request| stack.gateway.handle_send(request));
+            requests.into_iter().for_each(|request| stack.floors.gateway.handle_send(request));
         });
         advance(1000 * MS).await;
 
@@ -148,9 +147,9 @@ fn a_node_leaves_in_order_although_its_stack_panics_meanwhile() {
             if waits {
                 let message = sent::<Fresh>(&left, "right", None);
                 left.net.on_stack(|stack| {
-                    stack.gateway.handle_send(message);
+                    stack.floors.gateway.handle_send(message);
                     // The peer is not asked, and does not agree to the contract.
-                    while stack.gateway.exchange.poll_output().is_some() {}
+                    while stack.floors.gateway.exchange.poll_output().is_some() {}
                 });
             }
 
@@ -178,13 +177,12 @@ fn what_a_session_does_about_segments_comes_before_a_path_that_is_lost_later() {
         let (output, outputs) = std::sync::mpsc::channel();
 
         left.net.on_stack(move |stack| {
-            let (lower, right, now) = (&mut stack.lower, named("right"), platform::now());
+            let (floors, right, now) = (&mut stack.floors, named("right"), platform::now());
             let id = NodeId::of(&right);
-            lower.sessions.machines.get_mut(id).unwrap().handle_restart(now);
-            let (isolated, cause) = (true, String::new());
-            lower.router.handle_isolation(IsolateNode { node: right, isolated, cause });
-            lower.router.machine.verdict(id, now);
-            while let Some(next) = lower.poll_output() {
+            floors.gateway.exchange.peers.get_mut(id).unwrap().session.handle_restart(now);
+            floors.router.machine.handle_isolation(&right, true, now);
+            floors.router.machine.verdict(id, now);
+            while let Some(next) = floors.poll_output() {
                 let _ = match next {
                     StackOutput::Session(_, SessionOutput::Ended { .. }) => output.send("ended"),
                     StackOutput::Router(RouterOutput::Lost { .. }) => output.send("lost"),

@@ -309,7 +309,8 @@ fn blurt(left: &Module, count: usize) {
         for _ in 0..count {
             let (place, message) =
                 ((TrafficClass::Request, OrderingKey::default()), message.clone());
-            stack.lower.sessions.send_reliable((peer, 1), place, message, None).unwrap();
+            let right = stack.floors.gateway.exchange.peers.get_mut(peer).unwrap();
+            right.session.handle_send_along(place, message, None, platform::now()).unwrap();
         }
     });
 }

@@ -5,7 +5,7 @@ use super::{NodeAssembly, middleware, named};
 use crate::component::environment::ComponentEnvironment;
 use crate::component::spec_error::SpecError;
 use crate::directory::actor::{DirectoryActor, DirectorySetup};
-use crate::net::{self, DirectoryLine, NetEnvironment, NetHandle};
+use crate::net::{self, DirectoryLine, NetEnvironment, NetHandle, NetReports};
 use crate::node::Shared;
 use crate::node::builder::ActorPlacement;
 use crate::node::controller::SubscribeSafeState;
@@ -212,12 +212,14 @@ fn make_networks(
         topics: environment.topics().clone(),
         dead_letters: environment.dead_letters.clone(),
         may_be_away,
-        recoverer: Some(chain.recoverer.clone().recipient()),
-        links: Some(monitor.clone().recipient()),
-        stalls: Some(monitor.clone().recipient()),
-        nodes: Some(monitor.clone().recipient()),
-        faults: Some(monitor.clone().recipient()),
-        cleared: Some(monitor.clone().recipient()),
+        reports: NetReports {
+            recoverer: Some(chain.recoverer.clone().recipient()),
+            links: Some(monitor.clone().recipient()),
+            stalls: Some(monitor.clone().recipient()),
+            nodes: Some(monitor.clone().recipient()),
+            faults: Some(monitor.clone().recipient()),
+            cleared: Some(monitor.clone().recipient()),
+        },
         session_timeout,
         directory: None,
         keys,

@@ -12,6 +12,8 @@ pub(super) struct HelloSchedule {
     /// As configured, or as long as the medium and its other links need.
     pub(super) interval: Duration,
     pub(super) due: Instant,
+    /// How late this node was run when a timer fired last.
+    pub(super) late: Duration,
     /// The latest ones, for the round trip: number and time.
     sent: VecDeque<(u32, Instant)>,
 }
@@ -22,7 +24,8 @@ impl HelloSchedule {
 
     pub(super) fn new(configured: Duration, now: Instant) -> Self {
         let interval = configured.max(*HELLO_INTERVAL_RANGE.start());
-        HelloSchedule { interval, due: now, sent: VecDeque::with_capacity(Self::SENT_MAX) }
+        let (late, sent) = (Duration::ZERO, VecDeque::with_capacity(Self::SENT_MAX));
+        HelloSchedule { interval, due: now, late, sent }
     }
 
     /// Returns whether that changes the interval. Hellos are numbered by it: echoes of the old

@@ -64,8 +64,6 @@ pub struct Link {
     neighbour: Option<NeighbourRecord>,
     acquaintance: Acquaintance,
     hellos: HelloSchedule,
-    /// How late this node was run when a timer fired last.
-    late: Duration,
     /// By when a neighbour should have proved to be there; `None` once its absence was reported.
     expected_by: Option<Instant>,
     damping: FlapDamping,
@@ -98,7 +96,6 @@ impl Link {
             neighbour: None,
             acquaintance: Acquaintance::default(),
             hellos: HelloSchedule::new(config.hello_interval, now),
-            late: Duration::ZERO,
             expected_by: Some(now + config.peer_timeout),
             damping: FlapDamping::default(),
             frame_size: FrameSize::default(),
@@ -366,7 +363,7 @@ impl Link {
                 record.answered = sent;
                 let held = Duration::from_micros(echo.held_us.into());
                 // The echo has waited here for as long as this node was not run.
-                let waited = held + self.late;
+                let waited = held + self.hellos.late;
                 record.quality.handle_round_trip((now - sent).saturating_sub(waited));
             }
         }
@@ -526,7 +523,7 @@ impl Machine for Link {
         // A timer that fires so late means that this node was not run; the neighbour's hellos are
         // still unread. After a long stall every silence up to now is void.
         let late = now - due;
-        self.late = late;
+        self.hellos.late = late;
         let down_after = self.down_after_percent();
         if let Some(record) = &mut self.neighbour {
             if late > self.hellos.interval {

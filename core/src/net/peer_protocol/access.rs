@@ -87,12 +87,12 @@ impl BindingAccess {
 impl PeerProtocol {
     /// From now on this policy counts.
     pub fn handle_access(&mut self, policy: AccessPolicy) {
-        for (peer, state) in &mut self.peers {
-            let Some(session) = &mut state.session else { continue };
+        for (peer, known) in self.peers.iter_mut() {
+            let Some(session) = &mut known.record.session else { continue };
             let PeerSession { bound, subscriptions, barred, forbidden, .. } = session;
-            let mut tell = |message| self.outputs.push_back(control(*peer, &message));
+            let mut tell = |message| self.outputs.push_back(control(peer, &message));
             for (binding, bound) in bound {
-                let access = BindingAccess::of(&policy, *peer, &bound.object, &bound.contract);
+                let access = BindingAccess::of(&policy, peer, &bound.object, &bound.contract);
                 let before = std::mem::replace(&mut bound.access, access);
                 let newly = bound.access.full_refusal().filter(|_| before.full_refusal().is_none());
                 if let Some(why) = newly.map(DeliveryError::from) {
@@ -100,13 +100,12 @@ impl PeerProtocol {
                     tell(PeerMessage::BindRefused { binding, why, identity });
                 }
             }
-            let mut are_allowed = false;
             for (topic, interest) in &self.interests {
                 let subscription = interest.subscription;
-                if !may(&policy, *peer, Verb::Publish, topic) {
+                if !may(&policy, peer, Verb::Publish, topic) {
                     if barred.insert(subscription) {
                         tell(PeerMessage::Unsubscribe { subscription });
-                        are_allowed |= forbidden.remove(&subscription) && forbidden.is_empty();
+                        forbidden.remove(&subscription);
                     }
                 } else if barred.remove(&subscription) {
                     tell(subscribe(topic, interest));
@@ -114,7 +113,7 @@ impl PeerProtocol {
             }
             let mut ended = Vec::new();
             subscriptions.retain(|subscription, of_peer| {
-                let verdict = listen(&policy, *peer, &of_peer.topic);
+                let verdict = listen(&policy, peer, &of_peer.topic);
                 let (subscription, is_refused) = (*subscription, verdict.is_err());
                 let was_refused = std::mem::replace(&mut of_peer.is_refused, is_refused);
                 match verdict {
@@ -130,11 +129,8 @@ impl PeerProtocol {
             });
             let ended = ended
                 .into_iter()
-                .map(|subscription| PeerProtocolOutput::Unsubscribe { peer: *peer, subscription });
+                .map(|subscription| PeerProtocolOutput::Unsubscribe { peer, subscription });
             self.outputs.extend(ended);
-            if are_allowed {
-                self.outputs.push_back(PeerProtocolOutput::SubscriptionsAllowed { peer: *peer });
-            }
         }
         self.access = Some(policy);
     }
@@ -172,7 +168,7 @@ impl PeerProtocol {
     /// Tells a peer that this node listens to a topic, unless it may not publish there.
     pub(super) fn offer_interest(&mut self, peer: NodeId, topic: &TopicContract) {
         let Some(interest) = self.interests.get(topic) else { return };
-        let Some(session) = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut()) else {
+        let Some(session) = self.peers.open_mut(peer) else {
             return;
         };
         let policy = self.access.as_ref();
@@ -185,7 +181,7 @@ impl PeerProtocol {
 
     /// Whether the peer was told that this node listens to the topic.
     pub(super) fn was_offered(&mut self, peer: NodeId, topic: &TopicContract) -> bool {
-        let session = self.peers.get(&peer).and_then(|peer| peer.session.as_ref());
+        let session = self.peers.open(peer);
         let (Some(policy), Some(session)) = (&self.access, session) else { return true };
         let interest =
             self.interests.get(topic).map(|RemoteTopic { subscription, .. }| subscription);
@@ -206,7 +202,7 @@ impl PeerProtocol {
         subscription: u32,
         why: DeliveryError,
     ) {
-        let session = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut());
+        let session = self.peers.open_mut(peer);
         let is_own = self.interests.values().any(|own| own.subscription == subscription);
         if session.is_some_and(|session| is_own && session.forbidden.insert(subscription)) {
             self.outputs.push_back(PeerProtocolOutput::SubscriptionForbidden { peer, why });
@@ -217,7 +213,8 @@ impl PeerProtocol {
 
     /// A peer does not refuse a subscription any more: it is offered again.
     pub(super) fn handle_subscribe_again(&mut self, peer: NodeId, subscription: u32) {
-        if !self.end_forbidden(peer, subscription) {
+        let session = self.peers.open_mut(peer);
+        if !session.is_some_and(|session| session.forbidden.remove(&subscription)) {
             self.refusals.unexpected += 1;
             return;
         }
@@ -227,16 +224,9 @@ impl PeerProtocol {
         }
     }
 
-    /// A subscription of this node is not refused any more, or has ended. Answers whether it was
-    /// refused.
-    pub(super) fn end_forbidden(&mut self, peer: NodeId, subscription: u32) -> bool {
-        let session = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut());
-        let Some(session) = session else { return false };
-        let was_forbidden = session.forbidden.remove(&subscription);
-        if was_forbidden && session.forbidden.is_empty() {
-            self.outputs.push_back(PeerProtocolOutput::SubscriptionsAllowed { peer });
-        }
-        was_forbidden
+    /// Whether a peer refuses a subscription of this node now.
+    pub fn is_refused_a_subscription(&self) -> bool {
+        self.peers.with_session().any(|(_, session)| !session.forbidden.is_empty())
     }
 
     /// Tells that a peer was refused something. Answers with what the peer is told.

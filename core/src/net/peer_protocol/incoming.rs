@@ -2,10 +2,10 @@
 
 use super::access::{PeerBound, PeerSubscription};
 use super::node_state::REASON_MAX;
-use super::peer::{Binding, PendingCall, QueuedMessage};
+use super::peer::{Binding, PeerRecord, PendingCall, QueuedMessage};
 use super::reply_cache::RequestVerdict;
 use super::{
-    BINDINGS_MAX, CALLS_MAX, MessageTarget, PeerProtocol, PeerProtocolOutput, RemoteTopic,
+    BINDINGS_MAX, CALLS_MAX, MessageTarget, Peer, PeerProtocol, PeerProtocolOutput, RemoteTopic,
     TopicContract, control, refuse,
 };
 use crate::contract::{PEER_LIMIT, codec};
@@ -55,11 +55,13 @@ impl PeerProtocol {
         {
             shorten(why);
         }
-        let Some(session) = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut()) else {
+        let Some(Peer { record: PeerRecord { session: Some(session), .. }, incarnation, .. }) =
+            self.peers.get_mut(peer)
+        else {
             self.refusals.unexpected += 1;
             return;
         };
-        let epoch = session.epoch;
+        let (epoch, incarnation) = (session.epoch, *incarnation);
         match message {
             PeerMessage::Bind { binding, object, identity } => {
                 self.handle_bind(peer, binding, object, identity);
@@ -91,7 +93,7 @@ impl PeerProtocol {
                     let why = self.refuse_access(denied);
                     return self.answer(peer, epoch, call, Err(why));
                 }
-                let key = id.map(|id| (peer, session.incarnation, id));
+                let key = id.map(|id| (peer, incarnation, id));
                 let admitted = key.map(|key| self.requests.admit(key, (peer, epoch, call), now));
                 match admitted {
                     None | Some(RequestVerdict::Serve) => {
@@ -217,7 +219,7 @@ impl PeerProtocol {
     }
 
     fn handle_bind(&mut self, peer: NodeId, binding: u32, object: ObjectName, identity: Vec<u8>) {
-        let Some(session) = self.peers.get(&peer).and_then(|peer| peer.session.as_ref()) else {
+        let Some(session) = self.peers.open(peer) else {
             return;
         };
         if session.bound.contains_key(&binding) {
@@ -253,7 +255,7 @@ impl PeerProtocol {
         topic: String,
         identities: &[Vec<u8>],
     ) {
-        let session = self.peers.get(&peer).and_then(|peer| peer.session.as_ref());
+        let session = self.peers.open(peer);
         if session.is_none_or(|session| session.subscriptions.contains_key(&subscription)) {
             self.refusals.unexpected += 1;
             return;
@@ -270,7 +272,7 @@ impl PeerProtocol {
         };
         let topic = TopicContract { topic, contract: identities[0].name.clone() };
         let verdict = self.admit_subscription(peer, &topic);
-        if let Some(session) = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut()) {
+        if let Some(session) = self.peers.open_mut(peer) {
             let known = PeerSubscription { topic: topic.clone(), is_refused: verdict.is_err() };
             session.subscriptions.insert(subscription, known);
         }
@@ -283,7 +285,7 @@ impl PeerProtocol {
 
     /// A peer wants something new of us: within bounds, and with a contract that can be read.
     fn take_in(&mut self, peer: NodeId, identities: &[Vec<u8>]) -> Option<Vec<PeerIdentity>> {
-        let session = self.peers.get(&peer)?.session.as_ref()?;
+        let session = self.peers.open(peer)?;
         let are_many = session.bound.len() + session.subscriptions.len() >= BINDINGS_MAX;
         let is_long = |identity: &Vec<u8>| identity.len() > PEER_LIMIT;
         if are_many || identities.len() > FORMS_MAX || identities.iter().any(is_long) {
@@ -301,7 +303,7 @@ impl PeerProtocol {
         why: DeliveryError,
         identity: &[u8],
     ) {
-        let Some(session) = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut()) else {
+        let Some(session) = self.peers.open_mut(peer) else {
             return;
         };
         let Some(((object, name, _), binding)) = session.unbind(number) else {

@@ -13,19 +13,23 @@ mod age;
 mod incoming;
 mod node_state;
 mod peer;
+mod peers;
 mod reply_cache;
 mod types;
 
 pub mod receive_backlog;
 
+pub use self::peers::{Peer, Peers};
 pub use self::types::{
     Call, MessageTarget, PeerProtocolOutput, SessionEpoch, TopicContract, TransmitState,
 };
 
-use self::node_state::AnnouncedState;
-use self::peer::{Binding, BindingTable, PeerSession, PendingCall, QueuedMessage, carry};
+use self::node_state::{AnnouncedState, REASON_MAX};
+use self::peer::{Binding, PeerRecord, PeerSession, PendingCall, QueuedMessage, carry};
+use self::peers::SessionMaker;
 use self::reply_cache::ReplyCache;
 
+use super::session::Session;
 use super::session::ordering_key::OrderingKey;
 use super::trust::access::AccessPolicy;
 use super::wire::Refusals;
@@ -33,8 +37,8 @@ use super::wire::message::{FORMS_MAX, PeerMessage};
 use super::wire::node_id::NodeId;
 use crate::sorted::SortedMap;
 use crate::{
-    ContractIdentity, Credit, DeliveryError, GatherBuffer, Incarnation, Instant, ObjectName,
-    TrafficClass,
+    ContractIdentity, Credit, DeliveryError, GatherBuffer, Incarnation, Instant, NodeName,
+    ObjectName, TrafficClass,
 };
 use bytes::Bytes;
 use std::collections::VecDeque;
@@ -43,6 +47,10 @@ use std::time::Duration;
 /// The most bindings and subscriptions that a peer may have here, each.
 const BINDINGS_MAX: usize = 16 * 1024;
 
+/// The most peers that are remembered. Twice what a router knows at a time: robots change.
+const PEERS_MAX: usize = 512;
+/// A session that is built again counts on from there: more than any session needs.
+const NUMBERS_PER_LIFE: u32 = 1 << 16;
 /// The most requests to one peer that wait for its next session.
 const AGAIN_MAX: usize = 1024;
 /// The most unanswered requests of one peer whose replies have a stream of their own; beyond, they
@@ -53,15 +61,16 @@ const GRACE: Duration = Duration::from_secs(1);
 
 /// The machine of one node's dealings with all others. It waits for nothing: silence is the
 /// session's matter, and callers mind their deadlines.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct PeerProtocol {
-    peers: SortedMap<NodeId, PeerRecord>,
+    /// The other nodes, and the sessions with them.
+    pub peers: Peers,
+    maker: SessionMaker,
     /// What is listened to here.
     interests: SortedMap<TopicContract, RemoteTopic>,
     next_subscription: u32,
     next_binding: u32,
     next_call: u64,
-    epochs: u64,
     /// Requests of other nodes that are known by an identity.
     requests: ReplyCache,
     /// What peers may do here; without one, everything.
@@ -81,20 +90,72 @@ struct RemoteTopic {
     identities: Vec<ContractIdentity>,
 }
 
-/// What is going on with a peer.
-#[derive(Debug, Default)]
-struct PeerRecord {
-    reachable: bool,
-    session: Option<PeerSession>,
-    /// What the bindings of the session before were, for messages that come back late.
-    past: BindingTable,
-    /// Requests that are sent again in the next session.
-    again: Vec<Call>,
-    /// In this session it was asked for its roster, and has not sent it yet.
-    asked_roster: bool,
-}
-
 impl PeerProtocol {
+    /// That of this node, whose sessions end when a peer is silent for so long.
+    pub fn new(node: NodeName, incarnation: Incarnation, idle_timeout: Duration) -> Self {
+        PeerProtocol {
+            peers: Peers::default(),
+            maker: SessionMaker::new(node, incarnation, idle_timeout),
+            interests: SortedMap::new(),
+            next_subscription: 0,
+            next_binding: 0,
+            next_call: 0,
+            requests: ReplyCache::default(),
+            access: None,
+            is_started: false,
+            own: AnnouncedState::default(),
+            refusals: Refusals::default(),
+            outputs: VecDeque::new(),
+        }
+    }
+
+    /// Makes the row of a node, unless it has one. The seed is of the system's random source.
+    pub fn meet(&mut self, node: &NodeName, seed: u64, now: Instant) -> NodeId {
+        let id = NodeId::of(node);
+        if self.peers.get(id).is_none() {
+            let session = self.maker.session(node.clone(), self.maker.forgotten, seed, now);
+            self.peers.insert(id, Peer::new(node.clone(), session));
+        }
+        id
+    }
+
+    /// Which peer is to make way for a node that is new, if one has to: one without a path.
+    pub fn expendable(&self, new: &NodeName) -> Option<NodeId> {
+        if self.peers.iter().count() < PEERS_MAX || self.peers.get(NodeId::of(new)).is_some() {
+            return None;
+        }
+        self.peers.iter().find(|(_, peer)| peer.is_expendable()).map(|(id, _)| id)
+    }
+
+    /// Forgets a peer, with all that is known of it. Says whether that ends what differed.
+    pub fn forget(&mut self, peer: NodeId) -> bool {
+        let Some(gone) = self.peers.remove(peer) else { return false };
+        self.maker.forgotten = self.maker.forgotten.max(gone.session.number());
+        !gone.differences().is_empty()
+    }
+
+    /// Builds the machine of the sessions with a peer again. Returns the old one.
+    pub fn replace_session(&mut self, peer: NodeId, seed: u64, now: Instant) -> Option<Session> {
+        let known = self.peers.get_mut(peer)?;
+        let number = known.session.number().saturating_add(NUMBERS_PER_LIFE);
+        let session = self.maker.session(known.node.clone(), number, seed, now);
+        let old = std::mem::replace(&mut known.session, session);
+        if let Some((incarnation, mtu)) = known.path {
+            known.handle_reachable(incarnation, mtu, now);
+        }
+        Some(old)
+    }
+
+    /// This node ends in order: what was sent is to be delivered, then every session ends.
+    pub fn close(&mut self, now: Instant) {
+        self.maker.closed = true;
+        for peer in self.peers.ids() {
+            if let Some(peer) = self.peers.get_mut(peer) {
+                peer.session.handle_close(now);
+            }
+        }
+    }
+
     /// The next thing to do, in order.
     pub fn poll_output(&mut self) -> Option<PeerProtocolOutput> {
         self.outputs.pop_front()
@@ -108,39 +169,30 @@ impl PeerProtocol {
     /// The start of this node is over: its objects answer.
     pub fn handle_started(&mut self, now: Instant) {
         self.is_started = true;
-        for (peer, state) in &self.peers {
-            let Some(session) = &state.session else { continue };
+        for (peer, session) in self.peers.with_session() {
             let timestamp_us = session.timestamp_us(now);
-            self.outputs.push_back(control(*peer, &PeerMessage::Announced { timestamp_us }));
+            self.outputs.push_back(control(peer, &PeerMessage::Announced { timestamp_us }));
         }
-    }
-
-    /// A path to this node is known.
-    pub fn handle_reachable(&mut self, peer: NodeId) {
-        self.peers.entry(peer).or_default().reachable = true;
-    }
-
-    /// No path to this node is known any more.
-    pub fn handle_unreachable(&mut self, peer: NodeId) {
-        self.peers.entry(peer).or_default().reachable = false;
-    }
-
-    /// Whether a path to this node is known.
-    pub fn is_reachable(&self, peer: NodeId) -> bool {
-        self.peers.get(&peer).is_some_and(|peer| peer.reachable)
     }
 
     /// Whether the request with this number is sent again in the next session.
     pub fn is_to_repeat(&self, reply_as: u64) -> bool {
-        let mut again = self.peers.values().flat_map(|peer| &peer.again);
+        let mut again = self.peers.iter().flat_map(|(_, peer)| &peer.record.again);
         again.any(|call| call.reply_as == Some(reply_as))
     }
 
-    /// A session with this peer has begun.
-    pub fn handle_opened(&mut self, peer: NodeId, incarnation: Incarnation, now: Instant) {
-        self.epochs += 1;
-        let session = PeerSession::new(SessionEpoch(self.epochs), incarnation, now);
-        let state = self.peers.entry(peer).or_default();
+    /// The session of this number has begun. Says whether that ends what differed in an earlier
+    /// incarnation of the peer.
+    pub fn handle_opened(
+        &mut self,
+        peer: NodeId,
+        (incarnation, number): (Incarnation, u32),
+        now: Instant,
+    ) -> bool {
+        let Some(known) = self.peers.get_mut(peer) else { return false };
+        let differed = known.begin(number, incarnation);
+        let session = PeerSession::new(SessionEpoch(number), now);
+        let state = &mut known.record;
         state.session = Some(session);
         state.asked_roster = false;
         let again = std::mem::take(&mut state.again);
@@ -151,11 +203,12 @@ impl PeerProtocol {
             self.outputs.push_back(control(peer, &PeerMessage::Announced { timestamp_us: 0 }));
         }
         again.into_iter().for_each(|call| self.handle_call(call));
+        differed
     }
 
     /// The session with this peer is over: everything that is under way with it is resolved.
     pub fn handle_ended(&mut self, peer: NodeId, why: &DeliveryError) {
-        let Some(state) = self.peers.get_mut(&peer) else { return };
+        let Some(Peer { record: state, .. }) = self.peers.get_mut(peer) else { return };
         let Some(mut session) = state.session.take() else { return };
         state.past = std::mem::take(&mut session.numbers);
         for pending in session.calls.into_values() {
@@ -187,9 +240,9 @@ impl PeerProtocol {
             .then(|| Box::new(call.without_credit()));
         let Call { node, object, contract, id, sent, until, payload, reply_as, credit } = call;
         let peer = NodeId::of(&node);
-        let known = self.peers.get_mut(&peer);
-        let reachable = known.as_ref().is_some_and(|peer| peer.reachable);
-        let Some(session) = known.and_then(|peer| peer.session.as_mut()) else {
+        let known = self.peers.get_mut(peer);
+        let reachable = known.as_ref().is_some_and(|peer| peer.path.is_some());
+        let Some(session) = known.and_then(|peer| peer.record.session.as_mut()) else {
             let unreachable = DeliveryError::Unreachable { node: node.to_string() };
             let why = if reachable { DeliveryError::Restarting } else { unreachable };
             self.outputs.push_back(refuse(peer, (object, contract.name), reply_as, why));
@@ -254,7 +307,7 @@ impl PeerProtocol {
     }
 
     fn tell(&mut self, peer: NodeId, message: &PeerMessage) {
-        if self.peers.get(&peer).is_some_and(|peer| peer.session.is_some()) {
+        if self.peers.open(peer).is_some() {
             self.outputs.push_back(control(peer, message));
         }
     }
@@ -299,7 +352,7 @@ impl PeerProtocol {
         self.requests.expire(now);
         let late = |until: Option<Instant>| until.is_some_and(|until| until + GRACE <= now);
         let mut over = Vec::new();
-        for state in self.peers.values_mut() {
+        for (_, Peer { record: state, .. }) in self.peers.iter_mut() {
             let again = state.again.extract_if(.., |call| late(call.until));
             over.extend(again.filter_map(|call| call.reply_as));
             let Some(session) = &mut state.session else { continue };
@@ -325,8 +378,7 @@ impl PeerProtocol {
         }
         let before = self.interests.remove(&topic);
         if let Some(RemoteTopic { subscription, .. }) = before {
-            let peers: Vec<_> = self.peers.keys().copied().collect();
-            for peer in peers {
+            for peer in self.peers.ids() {
                 self.end_interest(peer, subscription);
             }
         }
@@ -337,15 +389,14 @@ impl PeerProtocol {
         self.next_subscription += FORMS_MAX as u32;
         let interest = RemoteTopic { subscription, identities };
         self.interests.insert(topic.clone(), interest);
-        let peers: Vec<_> = self.peers.keys().copied().collect();
-        peers.into_iter().for_each(|peer| self.offer_interest(peer, &topic));
+        self.peers.ids().into_iter().for_each(|peer| self.offer_interest(peer, &topic));
     }
 
     /// This node does not listen any more. Tells a peer that was told that it does.
     fn end_interest(&mut self, peer: NodeId, subscription: u32) {
-        let session = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut());
-        if session.is_some_and(|session| !session.barred.remove(&subscription)) {
-            self.end_forbidden(peer, subscription);
+        let Some(session) = self.peers.open_mut(peer) else { return };
+        if !session.barred.remove(&subscription) {
+            session.forbidden.remove(&subscription);
             self.tell(peer, &PeerMessage::Unsubscribe { subscription });
         }
     }
@@ -360,7 +411,7 @@ impl PeerProtocol {
         sent: Instant,
         credit: Option<Credit>,
     ) {
-        if let Some(session) = self.peers.get(&peer).and_then(|peer| peer.session.as_ref()) {
+        if let Some(session) = self.peers.open(peer) {
             let timestamp_us = session.timestamp_us(sent);
             let message = PeerMessage::Event { subscription, timestamp_us, payload };
             let route = (subscription << 1, stream, OrderingKey::Subscription(subscription));
@@ -384,20 +435,19 @@ impl PeerProtocol {
     }
 
     fn tell_all(&mut self, message: &PeerMessage) {
-        for (peer, _) in self.peers.iter().filter(|(_, state)| state.session.is_some()) {
-            self.outputs.push_back(control(*peer, message));
+        for (peer, _) in self.peers.with_session() {
+            self.outputs.push_back(control(peer, message));
         }
     }
 
     /// Something waits for a peer to agree to a contract.
     pub fn is_waiting(&self) -> bool {
-        let sessions = self.peers.values().filter_map(|peer| peer.session.as_ref());
-        sessions.flat_map(|session| session.bindings.values()).any(|b| b.waiting.is_some())
+        let mut bindings = self.peers.with_session().flat_map(|(_, open)| open.bindings.values());
+        bindings.any(|binding| binding.waiting.is_some())
     }
 
     fn session(&mut self, peer: NodeId, epoch: SessionEpoch) -> Option<&mut PeerSession> {
-        let session = self.peers.get_mut(&peer)?.session.as_mut()?;
-        (session.epoch == epoch).then_some(session)
+        self.peers.open_mut(peer).filter(|session| session.epoch == epoch)
     }
 
     /// A message that did not arrive, or perhaps not: its session ended first, or was full.
@@ -411,16 +461,16 @@ impl PeerProtocol {
         let Ok(message) = PeerMessage::decode(message) else { return };
         match message {
             PeerMessage::Request { call, .. } => {
-                let Some(state) = self.peers.get_mut(&peer) else { return };
+                let Some(Peer { record: state, .. }) = self.peers.get_mut(peer) else { return };
                 let session = state.session.as_mut();
                 if let Some(pending) = session.and_then(|session| session.calls.remove(&call)) {
                     give_up(state, &mut self.outputs, pending, &why, sent);
                 }
             }
             PeerMessage::Tell { binding, .. } => {
-                let past = self.peers.get(&peer).and_then(|peer| {
-                    let present = peer.session.as_ref().map(|session| &session.numbers);
-                    present.and_then(|numbers| numbers.get(&binding)).or(peer.past.get(&binding))
+                let past = self.peers.get(peer).and_then(|Peer { record, .. }| {
+                    let present = record.session.as_ref().map(|session| &session.numbers);
+                    present.and_then(|numbers| numbers.get(&binding)).or(record.past.get(&binding))
                 });
                 let to = past.map_or(MessageTarget::Forgotten, |(object, contract, _)| {
                     MessageTarget::Object(object.clone(), contract)
@@ -449,6 +499,56 @@ impl PeerProtocol {
             }
             // What belongs to the session itself ends with it.
             _ => {}
+        }
+    }
+
+    /// This node is in the safe state, for this reason, or has left it.
+    pub fn handle_safe_state(&mut self, reason: Option<String>) {
+        let shortened = reason.map(|reason| reason.chars().take(REASON_MAX).collect());
+        self.own.safe_state = Some(shortened);
+        self.tell_own();
+    }
+
+    /// This node uses this roster: its serial number, and its signed text.
+    pub fn handle_roster(&mut self, serial: u64, text: Bytes) {
+        self.own.roster = Some((serial, text));
+        self.tell_own();
+    }
+
+    fn tell_own(&mut self) {
+        let messages: Vec<_> = self.own.messages().collect();
+        messages.iter().for_each(|message| self.tell_all(message));
+    }
+
+    /// The directory of this node says this to that of a peer.
+    pub fn handle_directory(&mut self, peer: NodeId, message: Bytes) {
+        self.tell(peer, &PeerMessage::Directory { message: message.into() });
+    }
+
+    /// A peer has the roster of this serial number. It is asked for it, if that is newer.
+    fn handle_serial(&mut self, peer: NodeId, serial: u64) {
+        if self.own.roster.as_ref().is_some_and(|(own, _)| serial > *own) {
+            self.outputs.push_back(control(peer, &PeerMessage::RosterRequest));
+            if let Some(known) = self.peers.get_mut(peer) {
+                known.record.asked_roster = true;
+            }
+        }
+    }
+
+    /// A peer sends its roster. What was not asked for is not taken.
+    fn handle_peers_roster(&mut self, peer: NodeId, text: Bytes) {
+        let known = self.peers.get_mut(peer);
+        if known.is_some_and(|known| std::mem::take(&mut known.record.asked_roster)) {
+            self.outputs.push_back(PeerProtocolOutput::Roster { peer, text });
+        } else {
+            self.refusals.unexpected += 1;
+        }
+    }
+
+    /// A peer has an older roster.
+    fn handle_roster_request(&mut self, peer: NodeId) {
+        if let Some((_, text)) = self.own.roster.clone() {
+            self.outputs.push_back(control(peer, &PeerMessage::Roster { text: text.into() }));
         }
     }
 }

@@ -9,8 +9,7 @@ use crate::net::wire::message::{PeerMessage, TICK_US};
 use crate::net::wire::node_id::NodeId;
 use crate::sorted::{SortedMap, SortedSet};
 use crate::{
-    ContractIdentity, Credit, Delivery, GatherBuffer, Incarnation, Instant, MessageId, ObjectName,
-    TrafficClass,
+    ContractIdentity, Credit, Delivery, GatherBuffer, Instant, MessageId, ObjectName, TrafficClass,
 };
 use std::time::Duration;
 
@@ -19,11 +18,21 @@ pub(super) type BindingKey = (ObjectName, &'static str, u64);
 /// Which binding has which number. Numbers are not used again in the next session.
 pub(super) type BindingTable = SortedMap<u32, BindingKey>;
 
+/// What the protocol keeps of a peer.
+#[derive(Debug, Default)]
+pub(super) struct PeerRecord {
+    pub(super) session: Option<PeerSession>,
+    /// What the bindings of the session before were, for messages that come back late.
+    pub(super) past: BindingTable,
+    /// Requests that are sent again in the next session.
+    pub(super) again: Vec<Call>,
+    /// In this session it was asked for its roster, and has not sent it yet.
+    pub(super) asked_roster: bool,
+}
+
 #[derive(Debug)]
 pub(super) struct PeerSession {
     pub(super) epoch: SessionEpoch,
-    /// With which incarnation of the peer.
-    pub(super) incarnation: Incarnation,
     clock: SessionClock,
     pub(super) bindings: SortedMap<BindingKey, Binding>,
     pub(super) numbers: BindingTable,
@@ -97,10 +106,9 @@ pub(super) struct PendingCall {
 }
 
 impl PeerSession {
-    pub(super) fn new(epoch: SessionEpoch, incarnation: Incarnation, began: Instant) -> Self {
+    pub(super) fn new(epoch: SessionEpoch, began: Instant) -> Self {
         PeerSession {
             epoch,
-            incarnation,
             clock: SessionClock { began, ages: None },
             bindings: SortedMap::new(),
             numbers: SortedMap::new(),

@@ -133,7 +133,7 @@ mod tests {
         (CALLER, Incarnation(1), MessageId { sender: 3, sequence })
     }
 
-    fn asker(epoch: u64, call: u64) -> RequestOrigin {
+    fn asker(epoch: u32, call: u64) -> RequestOrigin {
         (CALLER, SessionEpoch(epoch), call)
     }
 

@@ -2,8 +2,9 @@
 
 use super::*;
 use crate::CreditPool;
+use crate::Delivery;
 use crate::contract::layout::{Described, Layout};
-use crate::{Delivery, Incarnation, NodeName};
+use crate::net::session::IDLE_TIMEOUT;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -54,6 +55,15 @@ fn at(millis: u64) -> Instant {
     Instant::from_millis(millis)
 }
 
+/// The protocol of one of two nodes that have met.
+fn end(name: &str) -> PeerProtocol {
+    let mut end = PeerProtocol::new(node(name), Incarnation(1), IDLE_TIMEOUT);
+    for peer in ["left", "right"].into_iter().filter(|peer| *peer != name) {
+        end.meet(&node(peer), 0, at(0));
+    }
+    end
+}
+
 /// Two peer protocols; what one sends, the other receives.
 struct Pair {
     ends: [PeerProtocol; 2],
@@ -61,23 +71,31 @@ struct Pair {
     outputs: [Vec<PeerProtocolOutput>; 2],
     /// After how many outputs the other end had told all that it listens to.
     announced: [Option<usize>; 2],
+    /// How many sessions have begun.
+    sessions: u32,
     now: u64,
 }
 
 impl Pair {
     fn new() -> Self {
         let ids = [NodeId::of(&node("left")), NodeId::of(&node("right"))];
-        let (mut ends, outputs): ([PeerProtocol; 2], _) = Default::default();
+        let mut ends = [end("left"), end("right")];
         ends.iter_mut().for_each(|end| end.handle_started(at(0)));
-        Pair { ends, ids, outputs, announced: [None; 2], now: 0 }
+        let outputs = Default::default();
+        Pair { ends, ids, outputs, announced: [None; 2], sessions: 0, now: 0 }
+    }
+
+    /// A session begins at this end.
+    fn begin(&mut self, end: usize) {
+        self.sessions += 1;
+        let peer = self.ids[1 - end];
+        self.ends[end].handle_opened(peer, (Incarnation(1), self.sessions), at(0));
     }
 
     fn open() -> Self {
         let mut pair = Pair::new();
         for end in 0..2 {
-            let peer = pair.ids[1 - end];
-            pair.ends[end].handle_reachable(peer);
-            pair.ends[end].handle_opened(peer, Incarnation(1), at(0));
+            pair.begin(end);
         }
         pair.run();
         pair
@@ -225,7 +243,7 @@ fn everything_is_resolved_when_the_session_ends_and_late_answers_go_nowhere() {
     let left = pair.ids[0];
     pair.ends[1].handle_ended(left, &DeliveryError::Stopped);
     for end in 0..2 {
-        pair.ends[end].handle_opened(pair.ids[1 - end], Incarnation(1), at(0));
+        pair.begin(end);
     }
     pair.take(1);
     pair.ends[1].handle_answer(left, epoch, 1, Ok(payload().into()), at(0));
@@ -241,7 +259,8 @@ fn without_a_session_a_call_is_refused_with_the_reason() {
     let resolved = |why| PeerProtocolOutput::Resolve { reply_as: 10, result: Err(why) };
     assert_eq!(pair.take(0), [resolved(why)]);
 
-    pair.ends[0].handle_reachable(pair.ids[1]);
+    let known = pair.ends[0].peers.get_mut(pair.ids[1]).unwrap();
+    known.handle_reachable(Incarnation(1), 1000, at(0));
     pair.call(count(), Some(10));
     assert_eq!(pair.take(0), [resolved(DeliveryError::Restarting)]);
     pair.call(count(), None);
@@ -329,10 +348,10 @@ fn commands_and_their_replies_are_control() {
 #[test]
 fn a_peer_that_starts_is_announced_when_its_start_is_over_and_in_every_later_session_at_once() {
     let mut pair = Pair::new();
-    pair.ends[1] = PeerProtocol::default();
+    pair.ends[1] = end("right");
     let open = |pair: &mut Pair| {
         for end in 0..2 {
-            pair.ends[end].handle_opened(pair.ids[1 - end], Incarnation(1), at(0));
+            pair.begin(end);
         }
         pair.run();
     };
@@ -356,7 +375,7 @@ fn an_interest_is_told_now_and_to_every_later_session() {
     let mut pair = Pair::new();
     pair.ends[0].handle_interest(topic(), vec![count()]);
     for end in 0..2 {
-        pair.ends[end].handle_opened(pair.ids[1 - end], Incarnation(1), at(0));
+        pair.begin(end);
     }
     pair.run();
     assert_eq!(pair.announced, [Some(0), Some(1)]);
@@ -594,3 +613,17 @@ fn a_reply_that_finds_no_capacity_is_told_as_lost_and_an_error_goes_as_it_is() {
 }
 
 mod access;
+
+#[test]
+fn however_many_nodes_were_met_a_further_one_has_a_session() {
+    let mut protocol = PeerProtocol::new(node("base"), Incarnation(1), IDLE_TIMEOUT);
+    for number in 0..2 * PEERS_MAX {
+        let met = node(&format!("n{number}"));
+        if let Some(gone) = protocol.expendable(&met) {
+            protocol.forget(gone);
+        }
+        let id = protocol.meet(&met, 0, at(0));
+        assert!(protocol.peers.get(id).is_some_and(|peer| peer.node == met));
+    }
+    assert_eq!(protocol.peers.ids().len(), PEERS_MAX);
+}

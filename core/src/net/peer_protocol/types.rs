@@ -21,7 +21,7 @@ pub struct TopicContract {
 
 /// One session's number on this node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct SessionEpoch(pub u64);
+pub struct SessionEpoch(pub u32);
 
 /// What an object wants sent to one of another node.
 #[derive(Debug)]
@@ -205,11 +205,6 @@ pub enum PeerProtocolOutput {
         peer: NodeId,
         /// The reason that it gives.
         why: DeliveryError,
-    },
-    /// The peer refuses no subscription of this node any more.
-    SubscriptionsAllowed {
-        /// The node that has refused one.
-        peer: NodeId,
     },
     /// Send no more of this.
     Unsubscribe {

@@ -39,7 +39,6 @@ mod outbound;
 mod output;
 mod queue;
 mod reassembly;
-mod reception;
 mod round_trip;
 mod status;
 mod tag;
@@ -53,10 +52,10 @@ pub use self::config::{IDLE_TIMEOUT, PAYLOAD_MAX, SessionConfig};
 pub use self::output::{Refused, SessionCounters, SessionOutput};
 pub use self::status::{SessionState, SessionStatus};
 
-use self::best_effort::{BestEffortInbound, BestEffortOutbound};
-use self::config::WINDOW;
+use self::best_effort::{BestEffortInbound, BestEffortOutbound, DatagramStatus};
+use self::config::{ACK_DELAY, WINDOW};
 use self::congestion::CongestionControl;
-use self::inbound::Inbound;
+use self::inbound::{ChunkStatus, Inbound};
 use self::outbound::Outbound;
 use self::queue::OutboundMessage;
 use self::reassembly::Reassembly;
@@ -526,6 +525,136 @@ impl Session {
                 }
             }
             State::Closed => {}
+        }
+    }
+
+    pub(super) fn handle_data(&mut self, data: Data) {
+        let Data { stream, sequence, first, last, again, piece, ack, payload, .. } = data;
+        self.counters.bytes_received += payload.len() as u64;
+        if let Some(ack) = ack {
+            self.handle_ack(stream, &ack);
+        }
+        let copied = stream == TrafficClass::Redundant && !again && piece.is_none();
+        if copied && self.streams[stream as usize].inbound.has(sequence) {
+            self.counters.replicas += 1;
+            return self.close_when_done();
+        }
+        let payload = payload.into_bytes();
+        let whole = match piece {
+            Some(piece) if self.streams[stream as usize].inbound.expects(sequence) => {
+                self.pieces.handle((stream, sequence), piece, payload, self.now)
+            }
+            _ => Some(payload),
+        };
+        if let Some(payload) = whole {
+            let mut messages = Vec::new();
+            let times = (self.now, self.ack_delay());
+            let inbound = &mut self.streams[stream as usize].inbound;
+            let arrived = inbound.handle(sequence, (first, last, payload), times, &mut messages);
+            let outputs = messages.into_iter();
+            self.outputs.extend(outputs.map(|message| SessionOutput::Message { stream, message }));
+            match arrived {
+                Ok(ChunkStatus::New) => {}
+                Ok(ChunkStatus::Again) => self.counters.duplicates += 1,
+                Ok(ChunkStatus::Beyond) => self.refusals.unexpected += 1,
+                Err(error) => {
+                    // The peer is broken; whatever it says next cannot be trusted to be in order.
+                    self.refusals.count(&error);
+                    let State::Open { peer } = self.state else { return };
+                    let reset = Segment::Reset { tag: self.identity.tag };
+                    self.transmit(PacketPriority::Control, reset);
+                    self.identity.newest =
+                        self.identity.newest.max((peer.incarnation, peer.number.saturating_add(1)));
+                    // Ours were good: they come back because of what it sent.
+                    let reason = format!(
+                        "it breaks the protocol of sessions ({error}): update one of the two"
+                    );
+                    let node = self.config.peer.to_string();
+                    self.end(DeliveryError::Undelivered { node, reason });
+                    return;
+                }
+            }
+        }
+        self.close_when_done();
+    }
+
+    /// On a narrow path an acknowledgement waits longer for something to travel with, for alone it
+    /// takes a third of what a part does.
+    fn ack_delay(&self) -> Duration {
+        const NARROW_MAX: Duration = Duration::from_millis(50);
+        let trip = self.round_trip().filter(|_| self.is_narrow());
+        let quarter = trip.map_or(Duration::ZERO, |trip| trip / 4);
+        ACK_DELAY.max(quarter.min(NARROW_MAX))
+    }
+
+    pub(super) fn handle_datagram(&mut self, datagram: Datagram) {
+        let channel = datagram.channel;
+        self.counters.bytes_received += datagram.payload.len() as u64;
+        match self.datagrams.inbound.handle(datagram, self.now, self.ack_delay()) {
+            DatagramStatus::Newest(message) => {
+                self.outputs.push_back(SessionOutput::Newest { channel, message });
+            }
+            DatagramStatus::InPart => {}
+            DatagramStatus::Again => self.counters.duplicates += 1,
+            DatagramStatus::Overtaken => self.counters.superseded += 1,
+        }
+    }
+
+    /// The peer's incarnation that the present session is with.
+    pub fn peer(&self) -> Option<Incarnation> {
+        match self.state {
+            State::Open { peer } | State::Closing { peer, .. } => Some(peer.incarnation),
+            _ => None,
+        }
+    }
+
+    /// We ended in order; nothing is left to do.
+    pub fn is_closed(&self) -> bool {
+        self.state == State::Closed
+    }
+
+    /// The smoothed round trip to the peer.
+    pub fn round_trip(&self) -> Option<Duration> {
+        self.streams.iter().find_map(|stream| stream.rtt.smoothed())
+    }
+
+    /// What it did so far.
+    pub fn counters(&self) -> SessionCounters {
+        let unfinished = self.pieces.given_up + self.datagrams.inbound.unfinished();
+        SessionCounters {
+            incomplete: self.counters.incomplete + unfinished,
+            replaced: self.counters.replaced + self.datagrams.outbound.replaced,
+            ..self.counters
+        }
+    }
+
+    /// What was refused so far.
+    pub fn refusals(&self) -> Refusals {
+        self.refusals
+    }
+
+    /// How it stands now.
+    pub fn status(&self) -> SessionStatus {
+        let state = match self.state {
+            State::Idle => SessionState::Away,
+            State::Opening { .. } if self.path.mtu.is_none() => SessionState::Away,
+            State::Opening { .. } => SessionState::Opening,
+            State::Open { .. } => SessionState::Open,
+            State::Closing { .. } => SessionState::Closing,
+            State::Closed => SessionState::Closed,
+        };
+        let held = self.streams.iter().map(|stream| stream.outbound.messages());
+        let parts = self.streams.iter().map(|stream| stream.outbound.flying());
+        SessionStatus {
+            state,
+            incarnation: self.peer(),
+            round_trip: self.round_trip(),
+            unacknowledged: held.sum(),
+            in_flight: parts.sum::<usize>() + self.datagrams.outbound.flying().0,
+            window: self.path.congestion.window(),
+            queueing: self.path.congestion.queueing(),
+            counters: self.counters(),
+            refusals: self.refusals(),
         }
     }
 }

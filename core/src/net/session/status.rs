@@ -1,6 +1,6 @@
 //! The status of a session, for display.
 
-use super::{Session, SessionCounters, State};
+use super::SessionCounters;
 use crate::Incarnation;
 use crate::net::wire::Refusals;
 use std::fmt;
@@ -56,64 +56,4 @@ pub struct SessionStatus {
     pub counters: SessionCounters,
     /// What was refused so far.
     pub refusals: Refusals,
-}
-
-impl Session {
-    /// The peer's incarnation that the present session is with.
-    pub fn peer(&self) -> Option<Incarnation> {
-        match self.state {
-            State::Open { peer } | State::Closing { peer, .. } => Some(peer.incarnation),
-            _ => None,
-        }
-    }
-
-    /// We ended in order; nothing is left to do.
-    pub fn is_closed(&self) -> bool {
-        self.state == State::Closed
-    }
-
-    /// The smoothed round trip to the peer.
-    pub fn round_trip(&self) -> Option<Duration> {
-        self.streams.iter().find_map(|stream| stream.rtt.smoothed())
-    }
-
-    /// What it did so far.
-    pub fn counters(&self) -> SessionCounters {
-        let unfinished = self.pieces.given_up + self.datagrams.inbound.unfinished();
-        SessionCounters {
-            incomplete: self.counters.incomplete + unfinished,
-            replaced: self.counters.replaced + self.datagrams.outbound.replaced,
-            ..self.counters
-        }
-    }
-
-    /// What was refused so far.
-    pub fn refusals(&self) -> Refusals {
-        self.refusals
-    }
-
-    /// How it stands now.
-    pub fn status(&self) -> SessionStatus {
-        let state = match self.state {
-            State::Idle => SessionState::Away,
-            State::Opening { .. } if self.path.mtu.is_none() => SessionState::Away,
-            State::Opening { .. } => SessionState::Opening,
-            State::Open { .. } => SessionState::Open,
-            State::Closing { .. } => SessionState::Closing,
-            State::Closed => SessionState::Closed,
-        };
-        let held = self.streams.iter().map(|stream| stream.outbound.messages());
-        let parts = self.streams.iter().map(|stream| stream.outbound.flying());
-        SessionStatus {
-            state,
-            incarnation: self.peer(),
-            round_trip: self.round_trip(),
-            unacknowledged: held.sum(),
-            in_flight: parts.sum::<usize>() + self.datagrams.outbound.flying().0,
-            window: self.path.congestion.window(),
-            queueing: self.path.congestion.queueing(),
-            counters: self.counters(),
-            refusals: self.refusals(),
-        }
-    }
 }

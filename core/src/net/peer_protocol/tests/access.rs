@@ -25,9 +25,7 @@ fn guarded(left: Role, lines: &[&str]) -> Pair {
     let mut pair = Pair::new();
     pair.ends[1].handle_access(policy(left, lines));
     for end in 0..2 {
-        let peer = pair.ids[1 - end];
-        pair.ends[end].handle_reachable(peer);
-        pair.ends[end].handle_opened(peer, Incarnation(1), at(0));
+        pair.begin(end);
     }
     pair.run();
     pair
@@ -223,14 +221,15 @@ fn another_policy_counts_at_once_for_who_listens() {
     let ended = PeerProtocolOutput::Unsubscribe { peer: pair.ids[0], subscription: 1 };
     assert_eq!(pair.take(1), [ended]);
     assert!(matches!(&pair.take(0)[..], [output] if is_forbidden(output)));
+    assert!(pair.ends[0].is_refused_a_subscription());
 
     for _ in 0..2 {
         pair.ends[1].handle_access(policy(Role::Node, &[]));
         pair.run();
     }
     assert!(matches!(&pair.take(1)[..], [output] if listens(output)));
-    let allowed = PeerProtocolOutput::SubscriptionsAllowed { peer: pair.ids[1] };
-    assert_eq!(pair.take(0), [allowed]);
+    assert_eq!(pair.take(0), []);
+    assert!(!pair.ends[0].is_refused_a_subscription());
 }
 
 #[test]
@@ -309,11 +308,12 @@ fn a_peer_is_believed_once_that_it_refuses_a_subscription_and_only_one_that_ther
     }
     pair.run();
     assert!(matches!(&pair.take(1)[..], [output] if is_forbidden(output)));
+    assert!(pair.ends[1].is_refused_a_subscription());
     // Who ends a subscription is not refused it any more.
     pair.ends[1].handle_interest(topic(), vec![]);
     pair.run();
-    let allowed = PeerProtocolOutput::SubscriptionsAllowed { peer: pair.ids[0] };
-    assert_eq!(pair.take(1), [allowed]);
+    assert_eq!(pair.take(1), []);
+    assert!(!pair.ends[1].is_refused_a_subscription());
 
     // Nor is one on whose topic the peer may not publish any more: it is not listened to there.
     pair.ends[1].handle_interest(topic(), vec![count()]);
@@ -326,10 +326,11 @@ fn a_peer_is_believed_once_that_it_refuses_a_subscription_and_only_one_that_ther
     pair.ends[1].handle_message(pair.ids[0], refused.encode().into_bytes(), at(0));
     pair.run();
     assert!(matches!(&pair.take(1)[..], [output] if is_forbidden(output)));
+    assert!(pair.ends[1].is_refused_a_subscription());
     pair.ends[1].handle_access(policy(Role::Node, &["only other may publish on news"]));
     pair.run();
-    let allowed = PeerProtocolOutput::SubscriptionsAllowed { peer: pair.ids[0] };
-    assert_eq!(pair.take(1), [allowed]);
+    assert_eq!(pair.take(1), []);
+    assert!(!pair.ends[1].is_refused_a_subscription());
 }
 
 #[test]
@@ -382,7 +383,7 @@ fn what_a_peer_has_asked_for_stays_bounded_however_it_asks() {
             }
         }
     }
-    let session = pair.ends[1].peers[&left].session.as_ref().expect("it is open");
+    let session = pair.ends[1].peers.open(left).expect("it is open");
     assert_eq!(session.bound.len() + session.subscriptions.len(), BINDINGS_MAX);
 }
 
