@@ -6,11 +6,10 @@
 
 use crate::component::cell::ComponentCell;
 use crate::component::context::Context;
-use crate::component::environment::ComponentEnvironment;
-use crate::component::extension::Extension;
 use crate::component::ports::{ParameterValues, ParametersType, Ports};
 use crate::component::spec_error::SpecError;
 use crate::component::{Component, Handle};
+use crate::variable::VariableStore;
 use crate::variable::ports::VariablePorts;
 use crate::variable::{DeclaredVariable, RestorePolicy, VariableRef, declared};
 use blastema_core::contract::codec;
@@ -186,7 +185,8 @@ fn declare<C: Handle<P>, P: Parameters>(
 impl<C: Component> ComponentCell<C> {
     /// The component's own parameters as they are now.
     pub(crate) fn parameters<P: Parameters>(&self) -> Result<P, DeliveryError> {
-        let value = self.record.environment.variables().value(&self.record.name, P::NAME)?;
+        let value =
+            self.record.environment.feature::<VariableStore>().value(&self.record.name, P::NAME)?;
         codec::decode::<P>(&value)
             .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })
     }
@@ -212,15 +212,6 @@ impl<P: Parameters> VariableRef<P> {
     }
 }
 
-impl Extension for Configured {}
-
-impl ComponentEnvironment {
-    /// The values that the robot's configuration gives to components.
-    pub(crate) fn configured(&self) -> &Configured {
-        self.extensions.get()
-    }
-}
-
 impl<C: Component> Ports<C> {
     /// Declares parameters, with the values that the
     /// [configuration](crate::NodeBuilder::parameters_from) gives them, or their defaults. The
@@ -232,7 +223,7 @@ impl<C: Component> Ports<C> {
         C: Handle<P>,
     {
         let declare = |cell: &Arc<ComponentCell<C>>| {
-            declare::<C, P>(cell, cell.record.environment.configured())
+            declare::<C, P>(cell, cell.record.environment.feature::<Configured>())
         };
         self.parameters = Some(ParametersType { describe: P::describe, refused: refused_by::<P> });
         self.feature::<VariablePorts<C>>().declare_parameters(P::NAME, Box::new(declare));

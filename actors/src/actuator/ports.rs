@@ -6,8 +6,6 @@ use super::{ActuatorSpec, Commander};
 use crate::component::cell::ComponentCell;
 use crate::component::context::Context;
 use crate::component::declaration::{CellListener, Declarations};
-use crate::component::environment::ComponentEnvironment;
-use crate::component::extension::Extension;
 use crate::component::ports::{PortConstructor, Ports};
 use crate::component::spec_error::SpecError;
 use crate::component::{Component, Handle};
@@ -22,15 +20,6 @@ use blastema_core::suggestion::nearest;
 use blastema_core::{Contract, DeliveryError, ObjectName};
 use std::sync::Arc;
 use std::time::Duration;
-
-impl Extension for ActuatorTable {}
-
-impl ComponentEnvironment {
-    /// The actuators of the node.
-    pub(crate) fn actuators(&self) -> &ActuatorTable {
-        self.extensions.get()
-    }
-}
 
 /// An actuator, and its skeleton.
 type ActuatorPort<C> = (Result<DeclaredActuator, DeliveryError>, PortConstructor<C>);
@@ -160,7 +149,7 @@ impl<C: Component> Declarations<C> for ActuatorPorts<C> {
 
     fn bind(self: Box<Self>, cell: &Arc<ComponentCell<C>>) -> Result<(), SpecError> {
         let (name, environment) = (&cell.record.name, &cell.record.environment);
-        let table = environment.actuators();
+        let table = environment.feature::<ActuatorTable>();
         // Those that could not be encoded were refused by the check.
         let declared = self.declared.into_iter();
         let declared = declared.filter_map(|(declared, open)| Some((declared.ok()?, open)));

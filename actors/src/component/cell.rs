@@ -309,18 +309,15 @@ impl CellCore {
 
     /// The same, where the fault ends so long after it was declared last.
     pub(crate) fn declare_for(&self, hold: Option<Duration>, kind: FaultKind, detail: String) {
-        if let Some(faults) = &self.environment.reports.faults {
-            let (object, incarnation) = (self.name.clone(), self.incarnation());
-            faults.do_send(FaultDeclared { object, incarnation, kind, detail, hold });
-        }
+        let (object, incarnation) = (self.name.clone(), self.incarnation());
+        let declared = FaultDeclared { object, incarnation, kind, detail, hold };
+        self.environment.reports.send(declared);
     }
 
     /// What the component had declared is over.
     pub(crate) fn clear(&self, kind: FaultKind) {
-        if let Some(cleared) = &self.environment.reports.cleared {
-            let (object, incarnation) = (self.name.clone(), self.incarnation());
-            cleared.do_send(DeclaredFaultCleared { object, incarnation, kind });
-        }
+        let (object, incarnation) = (self.name.clone(), self.incarnation());
+        self.environment.reports.send_cleared(DeclaredFaultCleared { object, incarnation, kind });
     }
 
     /// Drops a thing whose `Drop` is the user's. A panic there ends nothing else.

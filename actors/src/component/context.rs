@@ -244,15 +244,9 @@ impl<C: Component> Context<C> {
         if let FaultKind::Custom(code) = &kind {
             detail = self.cell.record.environment.checked_detail(code, detail);
         }
-        if let Some(faults) = &self.cell.record.environment.reports.faults {
-            faults.do_send(FaultDeclared {
-                object: self.name().clone(),
-                incarnation: self.incarnation(),
-                kind,
-                detail,
-                hold,
-            });
-        }
+        let (object, incarnation) = (self.name().clone(), self.incarnation());
+        let declared = FaultDeclared { object, incarnation, kind, detail, hold };
+        self.cell.record.environment.reports.send(declared);
     }
 
     /// Whether one more fault of this kind is told in this second.

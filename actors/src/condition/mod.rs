@@ -196,7 +196,12 @@ impl<C: Component> Context<C> {
     /// # Errors
     /// [`ConditionError`] says what to write instead.
     pub fn condition(&self, name: &str, needs: Connected) -> Result<Condition, ConditionError> {
-        self.cell.record.environment.conditions().declare(name, &needs, platform::now(), None)
+        self.cell.record.environment.feature::<Conditions>().declare(
+            name,
+            &needs,
+            platform::now(),
+            None,
+        )
     }
 }
 

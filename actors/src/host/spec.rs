@@ -9,6 +9,7 @@ use crate::component::spec_error::SpecError;
 use crate::host::reference::ActorRef;
 use crate::liveness::limits::SharedLimits;
 use crate::messaging::queue::WhenFull;
+use crate::parameters::Configured;
 use crate::platform::{self, panics};
 use crate::settings::{
     MAX_BLOCK, MAX_DELAY, OWN_RATE_HZ, QUEUE, RATE_HZ, READY_WITHIN, SHARED_RATE_HZ,
@@ -240,7 +241,7 @@ impl<C: Component> ChildSpec<C> {
         let name = SpecError::check_name(name)?;
         let more_ports = self.more_ports;
         let is_written = !self.parameters.is_empty();
-        environment.configured().write(&name, self.parameters);
+        environment.feature::<Configured>().write(&name, self.parameters);
         environment.watch_list.declare(Some(name.clone()));
         let declared = panics::caught(move || {
             let mut ports = Ports::<C>::of();
@@ -267,7 +268,7 @@ impl<C: Component> ChildSpec<C> {
         refused.extend(ports.check(&name).err());
         refused.extend(ports.refused(&name, &limits));
         if is_written || ports.parameters.is_some() {
-            refused.extend(environment.configured().refused(&name, ports.parameters));
+            refused.extend(environment.feature::<Configured>().refused(&name, ports.parameters));
         }
         let scheduling = limits.scheduling;
         if refused.is_empty() && !scheduling.is_default() && !environment.arbiters.are_here() {

@@ -4,18 +4,7 @@ use super::ServiceRef;
 use super::roster::Roster;
 use crate::component::Component;
 use crate::component::context::Context;
-use crate::component::environment::ComponentEnvironment;
-use crate::component::extension::Extension;
 use blastema_core::{NameError, Request};
-
-impl Extension for Roster {}
-
-impl ComponentEnvironment {
-    /// Returns the services of this node.
-    pub(crate) fn services(&self) -> &Roster {
-        self.extensions.get()
-    }
-}
 
 impl<C: Component> Context<C> {
     /// Returns a reference to the service of this name, whichever node is primary.
@@ -24,6 +13,6 @@ impl<C: Component> Context<C> {
     /// The name does not parse. Whether there is such a service shows when a request is sent.
     pub fn service<M: Request>(&self, name: &str) -> Result<ServiceRef<M>, NameError> {
         let environment = &self.cell.record.environment;
-        ServiceRef::new(&environment.registry, environment.services(), name)
+        ServiceRef::new(&environment.registry, environment.feature::<Roster>(), name)
     }
 }

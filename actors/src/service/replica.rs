@@ -16,11 +16,11 @@ use crate::registry::access::MessageOrigin;
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, MessageMetadata, NameTaken, Registry, ReplyTo};
 use crate::runtime::driver::{MachineActor, WakeTimer};
-use crate::runtime::guardian::{self, Guardian, answers_the_monitor};
+use crate::runtime::guardian::{Guardian, answers_the_monitor};
 use crate::runtime::reports::FaultReports;
 use actix::fut::wrap_future;
 use actix::prelude::*;
-use blastema_contract::reports::{AreYouAlive, DeclaredFaultCleared, FaultDeclared};
+use blastema_contract::reports::AreYouAlive;
 use blastema_core::contract::codec;
 use blastema_core::net::NodeId;
 use blastema_core::service::{
@@ -96,7 +96,7 @@ impl ReplicaActor {
         arbiter: Option<&ArbiterHandle>,
     ) -> Result<Recipient<AreYouAlive>, NameTaken> {
         let ComponentEnvironment { registry, .. } = environment;
-        let roster = environment.services();
+        let roster = environment.feature::<Roster>();
         let (kept, known, names) = (carried.clone(), roster.clone(), registry.clone());
         let reports = environment.reports.clone();
         let make = move |_: &mut Context<Self>| {
@@ -272,21 +272,9 @@ impl ReplicaActor {
 
     /// Declares a fault of the service.
     fn declare(&self, kind: FaultKind, detail: &str) {
-        let name = &self.carried.name;
+        let Carried { name, actor, .. } = &self.carried;
         warn!(service = %name, "{detail}");
-        if let Some(faults) = &self.reports.faults {
-            let (object, incarnation) = (self.carried.actor.clone(), guardian::alive().incarnation);
-            let detail = format!("service {name}: {detail}");
-            faults.do_send(FaultDeclared { object, incarnation, kind, detail, hold: None });
-        }
-    }
-
-    /// Clears a fault of the service.
-    fn clear_fault(&self, kind: FaultKind) {
-        if let Some(cleared) = &self.reports.cleared {
-            let (object, incarnation) = (self.carried.actor.clone(), guardian::alive().incarnation);
-            cleared.do_send(DeclaredFaultCleared { object, incarnation, kind });
-        }
+        self.reports.declare_kind(actor.clone(), kind, format!("service {name}: {detail}"));
     }
 
     fn became(&mut self, role: &Role, context: &mut Context<Self>) {
@@ -515,7 +503,9 @@ impl MachineActor for ReplicaActor {
                 // Those who wait for a primary are answered if there can be none.
                 self.answer_questions();
             }
-            ReplicaOutput::FaultCleared { kind } => self.clear_fault(kind),
+            ReplicaOutput::FaultCleared { kind } => {
+                self.reports.clear_kind(self.carried.actor.clone(), kind);
+            }
             ReplicaOutput::Compare { with } => self.compare(with, context),
             ReplicaOutput::CheckDependencies => self.inquire(context),
             ReplicaOutput::Answer { caller, outcome } => {

@@ -4,8 +4,6 @@ use super::{EventFilter, Publisher, TopicSubscription, Topics};
 use crate::component::cell::ComponentCell;
 use crate::component::context::Context;
 use crate::component::declaration::Declarations;
-use crate::component::environment::ComponentEnvironment;
-use crate::component::extension::Extension;
 use crate::component::ports::Ports;
 use crate::component::spec_error::SpecError;
 use crate::component::subscription::{Subscription, Subscriptions};
@@ -18,15 +16,6 @@ use std::borrow::Cow;
 use std::panic::Location;
 use std::rc::Rc;
 use std::sync::Arc;
-
-impl Extension for Topics {}
-
-impl ComponentEnvironment {
-    /// The topics of the node.
-    pub(crate) fn topics(&self) -> &Topics {
-        self.extensions.get()
-    }
-}
 
 type Bind<C> = Box<dyn FnOnce(&Topics) -> Result<Arc<dyn Subscription<C>>, DeliveryError>>;
 
@@ -52,7 +41,7 @@ impl<C: Component> Declarations<C> for ListenPorts<C> {
     }
 
     fn bind(self: Box<Self>, cell: &Arc<ComponentCell<C>>) -> Result<(), SpecError> {
-        let topics = cell.record.environment.topics();
+        let topics = cell.record.environment.feature::<Topics>();
         let bound: Result<Subscriptions<C>, _> =
             self.0.into_iter().map(|(_, _, bind)| bind(topics)).collect();
         let refused = |why| SpecError::Topic { name: cell.record.name.clone(), why };
@@ -165,7 +154,7 @@ impl<C: Component> Context<C> {
     /// name; the text names both, where each was said, and what differs.
     #[track_caller]
     pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, DeliveryError> {
-        let topics = self.cell.record.environment.topics();
+        let topics = self.cell.record.environment.feature::<Topics>();
         let publisher = topics.publisher_of(topic, self.name().as_str())?;
         Ok(publisher.of(self.state.token.clone()))
     }

@@ -15,7 +15,7 @@ mod store;
 
 pub use blastema_core::variables::{RestorePolicy, ValueState};
 
-pub(crate) use store::{DeclaredVariable, VariableStore, declared};
+pub(crate) use store::{DeclaredVariable, KEPT_VARIABLES, VariableStore, declared};
 
 use crate::messaging::sender::Sender;
 use crate::registry::Registry;

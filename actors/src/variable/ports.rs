@@ -6,31 +6,11 @@ use crate::component::Component;
 use crate::component::cell::ComponentCell;
 use crate::component::context::Context;
 use crate::component::declaration::{CellListener, Declarations};
-use crate::component::environment::ComponentEnvironment;
-use crate::component::extension::Extension;
 use crate::component::ports::Ports;
 use crate::component::spec_error::SpecError;
 use blastema_core::sorted::SortedSet;
 use blastema_core::{DeliveryError, ObjectName, Variable};
 use std::sync::Arc;
-
-impl Extension for VariableStore {}
-
-impl ComponentEnvironment {
-    /// The variables of the node.
-    pub(crate) fn variables(&self) -> &VariableStore {
-        self.extensions.get()
-    }
-
-    /// Reports what the variables' file complains of.
-    pub(crate) fn declare_complaints(&self) {
-        let complaints = self.variables().complaints();
-        complaints.into_iter().for_each(|detail| self.reports.declare(KEPT_VARIABLES, detail));
-    }
-}
-
-/// Under which name the file of the variables is an object of its node.
-pub(crate) const KEPT_VARIABLES: &str = "variables";
 
 /// Makes a variable once its component is registered.
 type DeclareLater<C> =
@@ -89,7 +69,7 @@ impl<C: Component> Declarations<C> for VariablePorts<C> {
             declared.push(declare(cell)?);
         }
         let (name, environment) = (&cell.record.name, &cell.record.environment);
-        let store = environment.variables();
+        let store = environment.feature::<VariableStore>();
         cell.record.listen(Withdrawal { store: store.clone(), owner: name.clone() });
         let owner = cell.clone();
         let isolated = move || owner.record.is_isolated();

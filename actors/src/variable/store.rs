@@ -12,6 +12,7 @@ use crate::registry::access::{AccessControl, AccessWish, MessageOrigin};
 use crate::registry::encoding::{RequestRefusal, encoded, named_contract};
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, Registry};
+use crate::runtime::reports::FaultReports;
 use blastema_core::contract::codec;
 use blastema_core::sorted::SortedMap;
 use blastema_core::variables::{
@@ -24,6 +25,9 @@ use std::io;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
+
+/// Under which name the file of the variables is an object of its node.
+pub(crate) const KEPT_VARIABLES: &str = "variables";
 
 /// Says whether bytes are a value that the owner takes.
 type Check = Arc<dyn Fn(&[u8]) -> Result<(), DeliveryError> + Send + Sync>;
@@ -199,9 +203,10 @@ impl VariableStore {
         self.lock().file.iter().for_each(PersistenceFile::close);
     }
 
-    /// What was wrong with the values that were to be restored.
-    pub(crate) fn complaints(&self) -> Vec<String> {
-        std::mem::take(&mut self.lock().complaints)
+    /// Reports what was wrong with the values that were to be restored.
+    pub(crate) fn report_complaints(&self, reports: &FaultReports) {
+        let complaints = std::mem::take(&mut self.lock().complaints);
+        complaints.into_iter().for_each(|detail| reports.declare(KEPT_VARIABLES, detail));
     }
 
     /// The object has these variables from now on; the port is where they are asked for.
