@@ -7,7 +7,6 @@ pub(crate) mod control;
 pub(crate) mod declaration;
 pub(crate) mod envelope;
 pub(crate) mod environment;
-mod far_watch;
 pub(crate) mod incarnation;
 pub(crate) mod long_operation;
 pub(crate) mod ports;

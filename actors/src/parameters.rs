@@ -5,7 +5,7 @@
 //! change.
 
 use crate::component::cell::ComponentCell;
-use crate::component::context::Context;
+use crate::component::environment::ComponentEnvironment;
 use crate::component::ports::{ParameterValues, ParametersType, Ports};
 use crate::component::spec_error::SpecError;
 use crate::component::{Component, Handle};
@@ -187,8 +187,7 @@ impl<C: Component> ComponentCell<C> {
     pub(crate) fn parameters<P: Parameters>(&self) -> Result<P, DeliveryError> {
         let value =
             self.record.environment.feature::<VariableStore>().value(&self.record.name, P::NAME)?;
-        codec::decode::<P>(&value)
-            .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })
+        Ok(codec::decode::<P>(&value)?)
     }
 }
 
@@ -212,6 +211,13 @@ impl<P: Parameters> VariableRef<P> {
     }
 }
 
+impl ComponentEnvironment {
+    /// The values of parameters that the node is given; for the layers below this one.
+    pub(crate) fn configured(&self) -> &Configured {
+        self.feature()
+    }
+}
+
 impl<C: Component> Ports<C> {
     /// Declares parameters, with the values that the
     /// [configuration](crate::NodeBuilder::parameters_from) gives them, or their defaults. The
@@ -223,20 +229,10 @@ impl<C: Component> Ports<C> {
         C: Handle<P>,
     {
         let declare = |cell: &Arc<ComponentCell<C>>| {
-            declare::<C, P>(cell, cell.record.environment.feature::<Configured>())
+            declare::<C, P>(cell, cell.record.environment.configured())
         };
         self.parameters = Some(ParametersType { describe: P::describe, refused: refused_by::<P> });
         self.feature::<VariablePorts<C>>().declare_parameters(P::NAME, Box::new(declare));
         self
-    }
-}
-
-impl<C: Component> Context<C> {
-    /// The component's own parameters as they are now.
-    ///
-    /// # Errors
-    /// [`DeliveryError::NoVariable`] where its `ports` declare no such parameters.
-    pub fn parameters<P: Parameters>(&self) -> Result<P, DeliveryError> {
-        self.cell.parameters()
     }
 }

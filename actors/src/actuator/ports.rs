@@ -1,10 +1,9 @@
-//! How components are commanded, and command.
+//! How components are commanded.
 
+use super::ActuatorSpec;
 use super::settings::{ActuatorSettings, apply};
 use super::table::{ActuatorTable, DeclaredActuator, FieldError};
-use super::{ActuatorSpec, Commander};
 use crate::component::cell::ComponentCell;
-use crate::component::context::Context;
 use crate::component::declaration::{CellListener, Declarations};
 use crate::component::ports::{PortConstructor, Ports};
 use crate::component::spec_error::SpecError;
@@ -197,26 +196,5 @@ impl<C: Component> ChildSpec<C> {
     pub fn actuator(self, contract: &str, settings: ActuatorSettings) -> Self {
         let contract = contract.to_owned();
         self.with_ports(move |ports| ports.change_actuator(&contract, &settings))
-    }
-}
-
-impl<C: Component> Context<C> {
-    /// Commands the actuator of this name, here or on another node. The lease is renewed by a task
-    /// of this incarnation: it ends with the incarnation, and when the component hangs.
-    ///
-    /// # Errors
-    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name,
-    /// [`DeliveryError::NotServed`] where it is no actuator.
-    pub fn commander<M: Contract>(
-        &mut self,
-        actuator: &str,
-    ) -> Result<Commander<M>, DeliveryError> {
-        let environment = &self.cell.record.environment;
-        let own = environment.registry.full_name(self.name());
-        let who = (own, self.incarnation());
-        let way = environment.registry.sender(actuator)?;
-        let (commander, renewing) = super::commander(actuator.to_owned(), way, who);
-        self.spawn(renewing);
-        Ok(commander)
     }
 }

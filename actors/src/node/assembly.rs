@@ -335,7 +335,7 @@ impl NodeAssembly {
                     (Some(file), text)
                 }
             };
-            let configured = self.node.environment.feature::<Configured>();
+            let configured = self.node.environment.configured();
             let taken = text.and_then(|text| configured.take(&text, file.as_deref()));
             taken.map_err(|reason| StartError::Parameters { file, reason })?;
         }
@@ -345,8 +345,8 @@ impl NodeAssembly {
     /// Finds values for a component that takes none.
     fn check_parameters(&self, policies: &[LostCommunicationPolicy]) -> Result<(), StartError> {
         let run = policies.iter().flat_map(LostCommunicationPolicy::components);
-        run.for_each(|name| self.node.environment.feature::<Configured>().expect(name));
-        let unused = self.node.environment.feature::<Configured>().check();
+        run.for_each(|name| self.node.environment.configured().expect(name));
+        let unused = self.node.environment.configured().check();
         unused.map_err(|(file, reason)| StartError::Parameters { file, reason })
     }
 

@@ -1,15 +1,14 @@
-//! How components own and reach variables.
+//! How components own variables.
 
+use super::VariableSpec;
 use super::store::{DeclaredVariable, VariableStore};
-use super::{VariableRef, VariableSpec, find};
 use crate::component::Component;
 use crate::component::cell::ComponentCell;
-use crate::component::context::Context;
 use crate::component::declaration::{CellListener, Declarations};
 use crate::component::ports::Ports;
 use crate::component::spec_error::SpecError;
 use blastema_core::sorted::SortedSet;
-use blastema_core::{DeliveryError, ObjectName, Variable};
+use blastema_core::{ObjectName, Variable};
 use std::sync::Arc;
 
 /// Makes a variable once its component is registered.
@@ -35,13 +34,17 @@ impl<C: Component> VariablePorts<C> {
     }
 }
 
-/// Withdraws the variables of a component with it.
+/// Applies the policies of a component's variables, and withdraws them with it.
 struct Withdrawal {
     store: VariableStore,
     owner: ObjectName,
 }
 
 impl CellListener for Withdrawal {
+    fn ended(&self) {
+        self.store.end_incarnation(&self.owner);
+    }
+
     fn removed(&self) {
         self.store.withdraw(&self.owner);
     }
@@ -77,7 +80,6 @@ impl<C: Component> Declarations<C> for VariablePorts<C> {
         let rights = environment.registry.access();
         let port = store.declare(name, declared, isolated, rights).map_err(refused)?;
         environment.registry.open(name, port);
-        store.watch_owner(name, &environment.registry);
         Ok(())
     }
 }
@@ -88,17 +90,5 @@ impl<C: Component> Ports<C> {
     pub fn variable<V: Variable>(&mut self, spec: VariableSpec<V>) -> &mut Self {
         self.feature::<VariablePorts<C>>().declared.push(spec.declared());
         self
-    }
-}
-
-impl<C: Component> Context<C> {
-    /// The variable `V` of the object of this name, the component's own or another's, here or on
-    /// another node.
-    ///
-    /// # Errors
-    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name,
-    /// [`DeliveryError::NoVariable`] where it owns no variables.
-    pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, DeliveryError> {
-        find(&self.cell.record.environment.registry, object)
     }
 }

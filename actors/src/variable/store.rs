@@ -3,17 +3,16 @@
 use super::RestoreDecision;
 use super::access::{VariableAnswer, VariableRequest, VariableSelector, WriteEntry};
 use super::kept_file::{self, LoadError, PersistenceFile, WriteDone};
-use crate::messaging::death_watch::{DownReason, Watcher};
-use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::reply::Responder;
 use crate::platform::file_lock::FileLock;
 use crate::platform::{self, lock, panics};
-use crate::registry::access::{AccessControl, AccessWish, MessageOrigin};
+use crate::registry::ContractPort;
+use crate::registry::access::{AccessControl, MessageOrigin};
 use crate::registry::encoding::{RequestRefusal, encoded, named_contract};
 use crate::registry::service_fn::ServiceFn;
-use crate::registry::{ContractPort, Registry};
 use crate::runtime::reports::FaultReports;
 use blastema_core::contract::codec;
+use blastema_core::net::trust::policy::Verb;
 use blastema_core::sorted::SortedMap;
 use blastema_core::variables::{
     PersistedValue, RestorePolicy, ValueState, ValueWrite, VariableDeclaration, VariableKey,
@@ -57,8 +56,7 @@ pub(crate) fn declared<V: Variable>(
     observer: Option<ValueObserver>,
 ) -> DeclaredVariable {
     let check = move |bytes: &[u8]| {
-        let value = codec::decode::<V>(bytes)
-            .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })?;
+        let value = codec::decode::<V>(bytes)?;
         let checked = panics::caught(|| check(&value)).map_err(|why| format!("it {why}"));
         checked.flatten().map_err(|reason| DeliveryError::CheckFailed { reason })
     };
@@ -129,18 +127,18 @@ fn may(
     from: MessageOrigin,
     access: &VariableRequest,
 ) -> Result<(), DeliveryError> {
-    let check = |wish, VariableSelector { object, identity }: &VariableSelector| {
-        rights.check(from, wish, object, || {
+    let check = |verb, VariableSelector { object, identity }: &VariableSelector| {
+        rights.check(from, verb, object, || {
             // What cannot be read is refused as such when it is served.
             PeerIdentity::decode(identity).map_or_else(|_| String::new(), |identity| identity.name)
         })
     };
     match access {
         VariableRequest::Read { variable } | VariableRequest::Watch { variable, .. } => {
-            check(AccessWish::Read, variable)
+            check(Verb::Read, variable)
         }
         VariableRequest::Write { writes, .. } => {
-            writes.iter().try_for_each(|write| check(AccessWish::Write, &write.variable))
+            writes.iter().try_for_each(|write| check(Verb::Set, &write.variable))
         }
     }
 }
@@ -242,21 +240,11 @@ impl VariableStore {
         Ok(ContractPort::of_service_fn(ServiceFn::<VariableRequest>(Arc::new(serve))))
     }
 
-    /// Applies the policies whenever an incarnation of the object ends.
-    pub(crate) fn watch_owner(&self, object: &ObjectName, registry: &Registry) {
-        let (store, of) = (self.clone(), object.clone());
-        let tell = move |down: crate::messaging::death_watch::Down| {
-            if !matches!(down.ending, DownReason::NotAlive | DownReason::Unknown) {
-                let mut inner = store.lock();
-                inner.machine.handle_owner_ended(&of, platform::now());
-                tell_watchers(inner);
-            }
-        };
-        let who = ObjectName::new("blastema/variables").expect("a name of letters");
-        let incarnation = Arc::new(IncarnationToken::default());
-        let tell = Box::new(tell);
-        let watcher = Watcher { who, incarnation, outlasts_object: false, tell };
-        registry.watch(object.clone(), watcher);
+    /// An incarnation of the object has ended: applies the policies.
+    pub(crate) fn end_incarnation(&self, object: &ObjectName) {
+        let mut inner = self.lock();
+        inner.machine.handle_owner_ended(object, platform::now());
+        tell_watchers(inner);
     }
 
     /// The object is gone.

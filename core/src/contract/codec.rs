@@ -9,10 +9,10 @@
 //! limit before memory is taken; bytes after its end are refused; structures within structures are
 //! followed to a depth of [`DEPTH_LIMIT`](crate::contract::field::DEPTH_LIMIT).
 
-use crate::Contract;
 use crate::contract::blob::{given, sharing};
 use crate::contract::gather_buffer::GatherBuffer;
 use crate::contract::layout::{Described, LayoutOf};
+use crate::{Contract, DeliveryError};
 use bincode::config::{self, Config};
 use bincode::enc::EncoderImpl;
 use bincode::enc::write::Writer;
@@ -70,6 +70,12 @@ pub enum DecodeError {
         /// What the codec said.
         reason: String,
     },
+}
+
+impl From<DecodeError> for DeliveryError {
+    fn from(error: DecodeError) -> Self {
+        DeliveryError::Undecodable { reason: error.to_string() }
+    }
 }
 
 /// Encodes a message at the end of `buffer`. Reuse the buffer: a fresh one costs more than the
