@@ -7,8 +7,6 @@ pub(crate) mod control;
 pub(crate) mod declaration;
 pub(crate) mod envelope;
 pub(crate) mod environment;
-pub(crate) mod extension;
-mod far_watch;
 pub(crate) mod incarnation;
 pub(crate) mod long_operation;
 pub(crate) mod ports;

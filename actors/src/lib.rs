@@ -109,6 +109,7 @@ mod condition;
 mod device;
 mod directory;
 mod fault_chain;
+mod features;
 mod host;
 mod liveness;
 mod messaging;

@@ -5,12 +5,11 @@
 //! change.
 
 use crate::component::cell::ComponentCell;
-use crate::component::context::Context;
 use crate::component::environment::ComponentEnvironment;
-use crate::component::extension::Extension;
 use crate::component::ports::{ParameterValues, ParametersType, Ports};
 use crate::component::spec_error::SpecError;
 use crate::component::{Component, Handle};
+use crate::variable::VariableStore;
 use crate::variable::ports::VariablePorts;
 use crate::variable::{DeclaredVariable, RestorePolicy, VariableRef, declared};
 use blastema_core::contract::codec;
@@ -186,9 +185,9 @@ fn declare<C: Handle<P>, P: Parameters>(
 impl<C: Component> ComponentCell<C> {
     /// The component's own parameters as they are now.
     pub(crate) fn parameters<P: Parameters>(&self) -> Result<P, DeliveryError> {
-        let value = self.record.environment.variables().value(&self.record.name, P::NAME)?;
-        codec::decode::<P>(&value)
-            .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })
+        let value =
+            self.record.environment.feature::<VariableStore>().value(&self.record.name, P::NAME)?;
+        Ok(codec::decode::<P>(&value)?)
     }
 }
 
@@ -212,12 +211,10 @@ impl<P: Parameters> VariableRef<P> {
     }
 }
 
-impl Extension for Configured {}
-
 impl ComponentEnvironment {
-    /// The values that the robot's configuration gives to components.
+    /// The values of parameters that the node is given; for the layers below this one.
     pub(crate) fn configured(&self) -> &Configured {
-        self.extensions.get()
+        self.feature()
     }
 }
 
@@ -237,15 +234,5 @@ impl<C: Component> Ports<C> {
         self.parameters = Some(ParametersType { describe: P::describe, refused: refused_by::<P> });
         self.feature::<VariablePorts<C>>().declare_parameters(P::NAME, Box::new(declare));
         self
-    }
-}
-
-impl<C: Component> Context<C> {
-    /// The component's own parameters as they are now.
-    ///
-    /// # Errors
-    /// [`DeliveryError::NoVariable`] where its `ports` declare no such parameters.
-    pub fn parameters<P: Parameters>(&self) -> Result<P, DeliveryError> {
-        self.cell.parameters()
     }
 }

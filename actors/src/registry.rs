@@ -19,7 +19,7 @@ use blastema_core::net::NodeId;
 use blastema_core::sorted::SortedMap;
 use blastema_core::{
     Contract, ContractIdentity, DeliveryError, FaultKind, GatherBuffer, Incarnation, Instant,
-    MessageId, NodeName, ObjectAddress, ObjectName, PeerIdentity, suggestion,
+    MessageId, NameError, NodeName, ObjectAddress, ObjectName, PeerIdentity, suggestion,
 };
 use bytes::Bytes;
 use ports::{Connections, DeclaredPort};
@@ -190,6 +190,14 @@ impl Inner {
         }
     }
 
+    fn check_free(&self, name: &ObjectName) -> Result<(), NameTaken> {
+        let known = self.objects.get(name).map(Entry::kind);
+        match known.or_else(|| self.reserved.get(name).copied()) {
+            Some(by) => Err(NameTaken { name: name.clone(), by }),
+            None => Ok(()),
+        }
+    }
+
     /// Nothing is sent from a node that was shut down.
     fn refusal(&self) -> Option<DeliveryError> {
         let node = self.node.as_ref().filter(|_| self.is_shut_down)?;
@@ -255,10 +263,7 @@ impl Registry {
         watchable: Arc<dyn Watchable>,
     ) -> Result<(), NameTaken> {
         let mut inner = self.lock();
-        let known = inner.objects.get(name).map(Entry::kind);
-        if let Some(by) = known.or_else(|| inner.reserved.get(name).copied()) {
-            return Err(NameTaken { name: name.clone(), by });
-        }
+        inner.check_free(name)?;
         inner.objects.insert(name.clone(), Entry { ports, watchable, declared: Box::default() });
         inner.revision += 1;
         Ok(())
@@ -280,10 +285,7 @@ impl Registry {
         name: &ObjectName,
     ) -> Result<ReservedName, NameTaken> {
         let mut inner = self.lock();
-        let known = inner.objects.get(name).map(Entry::kind);
-        if let Some(by) = known.or_else(|| inner.reserved.get(name).copied()) {
-            return Err(NameTaken { name: name.clone(), by });
-        }
+        inner.check_free(name)?;
         inner.reserved.insert(name.clone(), "a supervisor");
         Ok(ReservedName { registry: self.downgrade(), name: name.clone() })
     }
@@ -374,6 +376,15 @@ impl Registry {
             Some(node) => format!("{node}:{object}"),
             None => object.to_string(),
         }
+    }
+
+    /// The object that is called so, and its node where that is another one.
+    pub(crate) fn parse(&self, name: &str) -> Result<(Option<NodeName>, ObjectName), NameError> {
+        if !name.contains(':') {
+            return Ok((None, ObjectName::new(name)?));
+        }
+        let ObjectAddress { node, object } = name.parse()?;
+        Ok((self.elsewhere(node), object))
     }
 
     /// This node, unless it is our own.

@@ -436,8 +436,7 @@ impl<M: Contract> Commander<M> {
         let done = self.0.send_command(command, span).await;
         let noted = done.as_ref().map(|_| ()).map_err(Clone::clone);
         self.0.take_note(epoch, now, noted);
-        codec::decode_reply::<M>(&done?.reply)
-            .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })
+        Ok(codec::decode_reply::<M>(&done?.reply)?)
     }
 
     /// Gives the lease back. The safe outputs are applied, as whenever a lease ends.

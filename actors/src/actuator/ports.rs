@@ -1,13 +1,10 @@
-//! How components are commanded, and command.
+//! How components are commanded.
 
+use super::ActuatorSpec;
 use super::settings::{ActuatorSettings, apply};
 use super::table::{ActuatorTable, DeclaredActuator, FieldError};
-use super::{ActuatorSpec, Commander};
 use crate::component::cell::ComponentCell;
-use crate::component::context::Context;
 use crate::component::declaration::{CellListener, Declarations};
-use crate::component::environment::ComponentEnvironment;
-use crate::component::extension::Extension;
 use crate::component::ports::{PortConstructor, Ports};
 use crate::component::spec_error::SpecError;
 use crate::component::{Component, Handle};
@@ -22,15 +19,6 @@ use blastema_core::suggestion::nearest;
 use blastema_core::{Contract, DeliveryError, ObjectName};
 use std::sync::Arc;
 use std::time::Duration;
-
-impl Extension for ActuatorTable {}
-
-impl ComponentEnvironment {
-    /// The actuators of the node.
-    pub(crate) fn actuators(&self) -> &ActuatorTable {
-        self.extensions.get()
-    }
-}
 
 /// An actuator, and its skeleton.
 type ActuatorPort<C> = (Result<DeclaredActuator, DeliveryError>, PortConstructor<C>);
@@ -160,7 +148,7 @@ impl<C: Component> Declarations<C> for ActuatorPorts<C> {
 
     fn bind(self: Box<Self>, cell: &Arc<ComponentCell<C>>) -> Result<(), SpecError> {
         let (name, environment) = (&cell.record.name, &cell.record.environment);
-        let table = environment.actuators();
+        let table = environment.feature::<ActuatorTable>();
         // Those that could not be encoded were refused by the check.
         let declared = self.declared.into_iter();
         let declared = declared.filter_map(|(declared, open)| Some((declared.ok()?, open)));
@@ -208,26 +196,5 @@ impl<C: Component> ChildSpec<C> {
     pub fn actuator(self, contract: &str, settings: ActuatorSettings) -> Self {
         let contract = contract.to_owned();
         self.with_ports(move |ports| ports.change_actuator(&contract, &settings))
-    }
-}
-
-impl<C: Component> Context<C> {
-    /// Commands the actuator of this name, here or on another node. The lease is renewed by a task
-    /// of this incarnation: it ends with the incarnation, and when the component hangs.
-    ///
-    /// # Errors
-    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name,
-    /// [`DeliveryError::NotServed`] where it is no actuator.
-    pub fn commander<M: Contract>(
-        &mut self,
-        actuator: &str,
-    ) -> Result<Commander<M>, DeliveryError> {
-        let environment = &self.cell.record.environment;
-        let own = environment.registry.full_name(self.name());
-        let who = (own, self.incarnation());
-        let way = environment.registry.sender(actuator)?;
-        let (commander, renewing) = super::commander(actuator.to_owned(), way, who);
-        self.spawn(renewing);
-        Ok(commander)
     }
 }

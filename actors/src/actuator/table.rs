@@ -7,7 +7,7 @@
 use super::command::{ActuatorCommand, CommandDone, CommandKind};
 use crate::messaging::reply::Responder;
 use crate::platform::{self, lock};
-use crate::registry::access::{AccessControl, AccessWish, MessageOrigin};
+use crate::registry::access::{AccessControl, MessageOrigin};
 use crate::registry::encoding::{RequestRefusal, named_contract};
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, MessageMetadata, ReplyTo, Skeleton};
@@ -19,6 +19,7 @@ use blastema_contract::reports::AreYouAlive;
 use blastema_core::lease::{
     CommanderId, Lease, LeaseOutput, LeaseRules, LeaseStatus, RestCause, StopBy,
 };
+use blastema_core::net::trust::policy::Verb;
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{
     ContractIdentity, DeliveryError, FaultKind, GatherBuffer, Incarnation, Instant, Machine,
@@ -363,7 +364,7 @@ impl ActuatorTable {
         from: MessageOrigin,
     ) -> Result<Arc<Actuator>, RequestRefusal> {
         let theirs = named_contract(identity)?;
-        access.check(from, AccessWish::Command, object, || theirs.name.clone())?;
+        access.check(from, Verb::Lease, object, || theirs.name.clone())?;
         let named = |actuator: &&Arc<Actuator>| {
             actuator.object == *object && actuator.declared.identity.name == theirs.name
         };

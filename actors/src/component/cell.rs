@@ -15,7 +15,7 @@ use crate::component::ports::QueuePort;
 use crate::component::subscription::Subscriptions;
 use crate::component::{Component, Handle};
 use crate::liveness::activity::ActivitySlotRef;
-use crate::liveness::limits::SharedLimits;
+use crate::liveness::limits::ComponentLimits;
 use crate::liveness::sampler::AliveSource;
 use crate::messaging::death_watch::{Down, DownReason};
 use crate::messaging::error::{Receiver, RequestError, SendError, Unavailable};
@@ -64,7 +64,7 @@ pub(crate) struct ComponentCell<C: Component> {
 /// The part of an [`ComponentCell`] that does not depend on the component's type.
 pub(crate) struct CellCore {
     pub(crate) name: ObjectName,
-    pub(crate) limits: SharedLimits,
+    pub(crate) limits: Arc<ComponentLimits>,
     pub(crate) environment: Arc<ComponentEnvironment>,
     flags: AtomicU8,
     state: Mutex<CellStatus>,
@@ -112,7 +112,7 @@ pub(crate) enum Blame {
 impl CellCore {
     pub(crate) fn new(
         name: ObjectName,
-        limits: SharedLimits,
+        limits: Arc<ComponentLimits>,
         environment: Arc<ComponentEnvironment>,
     ) -> Self {
         CellCore {
@@ -154,8 +154,9 @@ impl CellCore {
         self.cold_if_used().is_some_and(|cold| cold.injected.is_silent())
     }
 
-    /// Tells the watchers of the component that its incarnation has ended.
+    /// Tells the watchers of the component, and the features, that its incarnation has ended.
     pub(crate) fn tell_watchers(&self, incarnation: Incarnation, ending: DownReason) {
+        self.announce(|listener| listener.ended());
         let object = self.name.clone();
         self.environment.registry.deaths().tell(&Down { object, node: None, incarnation, ending });
     }
@@ -309,18 +310,15 @@ impl CellCore {
 
     /// The same, where the fault ends so long after it was declared last.
     pub(crate) fn declare_for(&self, hold: Option<Duration>, kind: FaultKind, detail: String) {
-        if let Some(faults) = &self.environment.reports.faults {
-            let (object, incarnation) = (self.name.clone(), self.incarnation());
-            faults.do_send(FaultDeclared { object, incarnation, kind, detail, hold });
-        }
+        let (object, incarnation) = (self.name.clone(), self.incarnation());
+        let declared = FaultDeclared { object, incarnation, kind, detail, hold };
+        self.environment.reports.send(declared);
     }
 
     /// What the component had declared is over.
     pub(crate) fn clear(&self, kind: FaultKind) {
-        if let Some(cleared) = &self.environment.reports.cleared {
-            let (object, incarnation) = (self.name.clone(), self.incarnation());
-            cleared.do_send(DeclaredFaultCleared { object, incarnation, kind });
-        }
+        let (object, incarnation) = (self.name.clone(), self.incarnation());
+        self.environment.reports.send_cleared(DeclaredFaultCleared { object, incarnation, kind });
     }
 
     /// Drops a thing whose `Drop` is the user's. A panic there ends nothing else.

@@ -2,7 +2,6 @@
 
 use crate::arbiter::heartbeat;
 use crate::component::cell::ComponentCell;
-use crate::component::far_watch::FarWatches;
 use crate::component::incarnation::{IncarnationState, TimerId, TimerMode};
 use crate::component::long_operation::LongOperation;
 use crate::component::{Component, Failure, Handle};
@@ -10,6 +9,7 @@ use crate::messaging::death_watch::{Down, Watcher};
 use crate::messaging::sender::{DetachedSender, Sender};
 use crate::messaging::sink::{MessageSink, Redirected};
 use crate::platform;
+use crate::registry::remote_watch;
 use crate::settings::FAULT_HOLD;
 use blastema_contract::reports::FaultDeclared;
 use blastema_core::delivery::dead_letters::DeadReason;
@@ -18,7 +18,7 @@ use blastema_core::{
     ObjectName,
 };
 use std::any::{Any, TypeId};
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::fmt::Debug;
 use std::future::Future;
 use std::ops::RangeBounds;
@@ -35,6 +35,9 @@ const FAILED_CHECKS_MAX: usize = 64;
 /// The type of a handle, the port that it is for, and the handle.
 pub(crate) type KeptHandle = (TypeId, Option<Box<str>>, Rc<dyn Any>);
 
+/// The objects of other nodes that an incarnation watches, and whether each still is watched.
+type FarWatches = Vec<(ObjectAddress, Rc<Cell<bool>>)>;
+
 /// A component's way to its host, lent to every hook and handler.
 ///
 /// What is started here, tasks and timers, belongs to the present incarnation: it ends with it, and
@@ -46,7 +49,7 @@ pub struct Context<C: Component> {
     /// port's name: made once.
     pub(crate) handles: RefCell<Vec<KeptHandle>>,
     /// Boxed, since few components watch others.
-    pub(super) far_watches: Option<Box<FarWatches>>,
+    far_watches: Option<Box<FarWatches>>,
 }
 
 impl<C: Component> Context<C> {
@@ -244,20 +247,14 @@ impl<C: Component> Context<C> {
         if let FaultKind::Custom(code) = &kind {
             detail = self.cell.record.environment.checked_detail(code, detail);
         }
-        if let Some(faults) = &self.cell.record.environment.reports.faults {
-            faults.do_send(FaultDeclared {
-                object: self.name().clone(),
-                incarnation: self.incarnation(),
-                kind,
-                detail,
-                hold,
-            });
-        }
+        let (object, incarnation) = (self.name().clone(), self.incarnation());
+        let declared = FaultDeclared { object, incarnation, kind, detail, hold };
+        self.cell.record.environment.reports.send(declared);
     }
 
     /// Whether one more fault of this kind is told in this second.
     fn may_declare(&self, kind: &FaultKind) -> bool {
-        let mut declared = self.state.declared.get_or_init(Box::default).borrow_mut();
+        let mut declared = self.state.declared.get_or_init(Box::default).counts.borrow_mut();
         let now = platform::now();
         let (since, count) = declared.entry(kind.clone()).or_insert((now, 0));
         if now - *since >= Duration::from_secs(1) {
@@ -269,8 +266,8 @@ impl<C: Component> Context<C> {
 
     /// Ends a fault of this kind that the component has declared.
     pub fn clear_fault(&self, kind: FaultKind) {
-        if let (FaultKind::CheckFailed, Some(failed)) = (&kind, self.state.failed_checks.get()) {
-            failed.borrow_mut().clear();
+        if let (FaultKind::CheckFailed, Some(declared)) = (&kind, self.state.declared.get()) {
+            declared.failed_checks.borrow_mut().clear();
         }
         self.cell.record.clear(kind);
     }
@@ -304,14 +301,15 @@ impl<C: Component> Context<C> {
 
     fn note_check(&self, holds: bool, check: &str, detail: impl FnOnce() -> String) -> bool {
         if !holds {
-            let mut failed = self.state.failed_checks.get_or_init(Box::default).borrow_mut();
+            let declared = self.state.declared.get_or_init(Box::default);
+            let mut failed = declared.failed_checks.borrow_mut();
             if failed.len() < FAILED_CHECKS_MAX {
                 failed.insert(check.to_owned());
             }
             drop(failed);
             self.declare_fault(FaultKind::CheckFailed, detail());
-        } else if let Some(failed) = self.state.failed_checks.get() {
-            let mut failed = failed.borrow_mut();
+        } else if let Some(declared) = self.state.declared.get() {
+            let mut failed = declared.failed_checks.borrow_mut();
             let passes_again = failed.remove(check);
             let is_last = failed.is_empty();
             drop(failed);
@@ -360,13 +358,7 @@ impl<C: Component> Context<C> {
         C: Handle<Down>,
     {
         let registry = self.cell.record.environment.registry.clone();
-        let (node, object) = match name.contains(':') {
-            true => {
-                let ObjectAddress { node, object } = name.parse()?;
-                (registry.elsewhere(node), object)
-            }
-            false => (None, ObjectName::new(name)?),
-        };
+        let (node, object) = registry.parse(name)?;
         // Two that watch each other do not keep each other.
         let (watcher, incarnation) = (Arc::downgrade(&self.cell), self.state.incarnation);
         let tell = move |down: Down| {
@@ -384,5 +376,22 @@ impl<C: Component> Context<C> {
             Some(node) => self.watch_elsewhere(ObjectAddress { node, object }, Box::new(tell)),
         }
         Ok(())
+    }
+
+    /// Watches an object of another node, unless it is watched already.
+    fn watch_elsewhere(&mut self, address: ObjectAddress, tell: Box<dyn Fn(Down)>) {
+        let watches = self.far_watches.get_or_insert_default();
+        watches.retain(|(_, goes_on)| goes_on.get());
+        if watches.iter().any(|(known, _)| *known == address) {
+            return;
+        }
+        let goes_on = Rc::new(Cell::new(true));
+        watches.push((address.clone(), goes_on.clone()));
+        let registry = self.cell.record.environment.registry.clone();
+        let follow = remote_watch::follow(registry, address, tell);
+        self.spawn(async move {
+            follow.await;
+            goes_on.set(false);
+        });
     }
 }

@@ -43,6 +43,9 @@ pub(crate) trait CellListener: Send + Sync {
     fn left_work(&self, _hook_done: bool) {}
     /// An incarnation has ended, and none follows at once.
     fn deactivated(&self) {}
+    /// An incarnation has ended, whether another one follows or not.
+    fn ended(&self) {}
+
     /// The component leaves the node.
     fn removed(&self) {}
 }

@@ -1,7 +1,6 @@
 //! The parts of a node that every component uses: fault reports, arbiters, the registry.
 
 use crate::arbiter::pool::ArbiterPool;
-use crate::component::extension::Extensions;
 use crate::liveness::sampler::SampledComponents;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::registry::Registry;
@@ -11,6 +10,7 @@ use blastema_contract::reports::FaultDeclared;
 use blastema_core::sorted::SortedSet;
 use blastema_core::suggestion::nearest;
 use blastema_core::{FaultKind, ObjectName};
+use std::any::Any;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use tracing::error;
@@ -24,8 +24,8 @@ pub(crate) struct ComponentEnvironment {
     pub(crate) watch_list: SampledComponents,
     /// The codes of the application's own list of faults.
     pub(crate) fault_codes: Arc<SortedSet<Arc<str>>>,
-    /// What the features of the node add.
-    pub(crate) extensions: Extensions,
+    /// What the features of the node keep for it: one value of each type.
+    pub(crate) features: Vec<Box<dyn Any + Send + Sync>>,
     /// The longest `shutdown_within` of a component, in milliseconds.
     pub(crate) longest_stop_ms: AtomicU64,
     /// Incarnations that ended without the hooks of their stop.
@@ -33,6 +33,12 @@ pub(crate) struct ComponentEnvironment {
 }
 
 impl ComponentEnvironment {
+    /// What a feature keeps for the node, such as its topics or its variables.
+    pub(crate) fn feature<T: Any>(&self) -> &T {
+        let found = self.features.iter().find_map(|feature| feature.downcast_ref());
+        found.expect("a node registers every feature before its first component")
+    }
+
     /// Returns the detail of an application's fault, with a note if its code was not declared.
     pub(crate) fn checked_detail(&self, code: &str, detail: String) -> String {
         if self.fault_codes.contains(code) {
@@ -56,7 +62,6 @@ impl ComponentEnvironment {
     /// The component on this thread has waited in vain for this one: it is a fault if they wait for
     /// each other.
     pub(crate) fn report_circle(&self, asked: &ObjectName) {
-        let Some(faults) = &self.reports.faults else { return };
         let Some((incarnation, circle)) = self.watch_list.circle(asked) else { return };
         let object = circle[0].clone();
         let names: Vec<&str> = circle.iter().chain([&object]).map(ObjectName::as_str).collect();
@@ -65,7 +70,7 @@ impl ComponentEnvironment {
             names.join(" asks ")
         );
         let (kind, hold) = (FaultKind::CheckFailed, Some(FAULT_HOLD));
-        faults.do_send(FaultDeclared { object, incarnation, kind, detail, hold });
+        self.reports.send(FaultDeclared { object, incarnation, kind, detail, hold });
     }
 
     /// An environment of its own, whose components live on `arbiters`.
@@ -77,7 +82,7 @@ impl ComponentEnvironment {
             dead_letters: DeadLetterLog::default(),
             watch_list: SampledComponents::default(),
             fault_codes: Arc::default(),
-            extensions: Extensions::default(),
+            features: Vec::new(),
             longest_stop_ms: AtomicU64::new(0),
             cut_short: AtomicU64::new(0),
         }

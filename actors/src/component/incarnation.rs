@@ -83,8 +83,14 @@ pub(crate) struct DeferredCommands {
     pub(crate) interval: Option<Option<Duration>>,
 }
 
-/// How many faults of each kind were declared within a second, which began then.
-pub(crate) type DeclaredCounts = SortedMap<FaultKind, (Instant, u32)>;
+/// What an incarnation has declared.
+#[derive(Default)]
+pub(crate) struct DeclaredFaults {
+    /// How many faults of each kind were declared within a second, which began then.
+    pub(crate) counts: RefCell<SortedMap<FaultKind, (Instant, u32)>>,
+    /// Checks that failed and have not passed since.
+    pub(crate) failed_checks: RefCell<SortedSet<String>>,
+}
 
 pub(crate) struct IncarnationState<C: Component> {
     pub(crate) incarnation: Incarnation,
@@ -105,10 +111,8 @@ pub(crate) struct IncarnationState<C: Component> {
     wished: Cell<bool>,
     /// There only where one was set.
     pub(crate) timers: OnceCell<Rc<TimerTable<C>>>,
-    /// Checks that failed and have not passed since. There only where one has failed.
-    pub(crate) failed_checks: OnceCell<Box<RefCell<SortedSet<String>>>>,
     /// There only where a fault was declared.
-    pub(crate) declared: OnceCell<Box<RefCell<DeclaredCounts>>>,
+    pub(crate) declared: OnceCell<Box<DeclaredFaults>>,
 }
 
 impl<C: Component> IncarnationState<C> {
@@ -125,7 +129,6 @@ impl<C: Component> IncarnationState<C> {
             wishes: Cell::default(),
             wished: Cell::new(false),
             timers: OnceCell::new(),
-            failed_checks: OnceCell::new(),
             declared: OnceCell::new(),
         }
     }

@@ -1,7 +1,5 @@
 //! Heartbeats: the events by which a sender shows that it is there.
 
-use crate::component::Component;
-use crate::component::context::Context;
 use crate::platform;
 use crate::settings::{HEARTBEAT_INTERVAL, SettingError};
 use crate::topic::Publisher;
@@ -50,19 +48,4 @@ pub(crate) fn publish(
             platform::sleep(interval).await;
         }
     })
-}
-
-impl<C: Component> Context<C> {
-    /// Publishes a [`Heartbeat`] on this topic every `interval`, 10 ms to an hour, for as long as
-    /// this incarnation lasts and its thread turns.
-    ///
-    /// # Errors
-    /// As [`publisher`](Self::publisher), and [`DeliveryError::CheckFailed`] for an interval out of
-    /// range.
-    #[track_caller]
-    pub fn heartbeat(&mut self, topic: &str, interval: Duration) -> Result<(), DeliveryError> {
-        let publisher = self.publisher::<Heartbeat>(topic)?;
-        self.spawn(publish(publisher, interval)?);
-        Ok(())
-    }
 }

@@ -22,9 +22,6 @@ pub(crate) use table::ConditionUse;
 pub(crate) use table::Conditions;
 
 use crate::actuator::Commander;
-use crate::component::Component;
-use crate::component::context::Context;
-use crate::platform;
 use blastema_core::connection::ConditionState;
 use blastema_core::{Contract, DeliveryError, Instant, NameError, ObjectName};
 use std::fmt;
@@ -44,8 +41,8 @@ pub struct ConditionStatus {
 }
 
 /// A condition of a node: whether something is connected. From
-/// [`Node::condition`](crate::Node::condition) and [`Context::condition`]. Clones are the same
-/// condition.
+/// [`Node::condition`](crate::Node::condition) and
+/// [`Context::condition`](crate::Context::condition). Clones are the same condition.
 ///
 /// ```
 /// use blastema::prelude::*;
@@ -186,17 +183,6 @@ impl ConditionChanges {
         let status = self.status.wait_for(|status| status.state != last).await.ok()?.clone();
         self.last = status.state;
         Some(status)
-    }
-}
-
-impl<C: Component> Context<C> {
-    /// Returns the condition of this name, which needs this; declares it if it is new. It belongs
-    /// to the node, and outlives this incarnation.
-    ///
-    /// # Errors
-    /// [`ConditionError`] says what to write instead.
-    pub fn condition(&self, name: &str, needs: Connected) -> Result<Condition, ConditionError> {
-        self.cell.record.environment.conditions().declare(name, &needs, platform::now(), None)
     }
 }
 

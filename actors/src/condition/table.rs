@@ -5,12 +5,12 @@ use super::source::{ChannelSource, ConditionWiring, SharedReadings};
 use super::spec::{ChannelSpec, Connected, ConnectedChannel, LOOK_INTERVAL, TIMEOUT};
 use super::{Condition, ConditionError, ConditionStatus, object_of};
 use crate::component::environment::ComponentEnvironment;
-use crate::component::extension::Extension;
 use crate::platform::lock;
 use crate::runtime::guardian::Guardian;
 use crate::runtime::reports::FaultReports;
 use crate::runtime::timekeeper::Timekeeper;
 use crate::settings::{CONDITION_TIMEOUT, CONDITION_WINDOW};
+use crate::topic::Topics;
 use actix::prelude::{ArbiterHandle, Recipient};
 use blastema_contract::reports::{AreYouAlive, DeclaredFaultCleared, FaultDeclared};
 use blastema_core::connection::{Combination, ConditionState, ConnectionJudge};
@@ -87,15 +87,6 @@ impl Drop for ConditionUse {
 /// Acts on how a condition is, and on the time. Says when it wants to do so again.
 pub(crate) type FollowFn =
     Arc<dyn Fn(ConditionState, &str, Instant) -> Option<Instant> + Send + Sync>;
-
-impl Extension for Conditions {}
-
-impl ComponentEnvironment {
-    /// The conditions of the node.
-    pub(crate) fn conditions(&self) -> &Conditions {
-        self.extensions.get()
-    }
-}
 
 impl Conditions {
     /// Looks at the conditions from now on. Says where the actor that does can be asked whether it
@@ -263,15 +254,12 @@ impl Entry {
             }
             // It belongs to the node, and has one incarnation, whatever becomes of its actor.
             let (object, incarnation) = (object.clone(), Incarnation::FIRST);
-            match (found, &reports.faults, &reports.cleared) {
-                (true, Some(faults), _) => {
+            match found {
+                true => {
                     let detail = cause.to_owned();
-                    faults.do_send(FaultDeclared { object, incarnation, kind, detail, hold: None });
+                    reports.send(FaultDeclared { object, incarnation, kind, detail, hold: None });
                 }
-                (false, _, Some(cleared)) => {
-                    cleared.do_send(DeclaredFaultCleared { object, incarnation, kind });
-                }
-                _ => {}
+                false => reports.send_cleared(DeclaredFaultCleared { object, incarnation, kind }),
             }
             // Last: a log may block.
             info!(condition = &*self.name, %state, "{cause}");
@@ -286,7 +274,7 @@ impl Connected {
         condition: &str,
         environment: &ComponentEnvironment,
     ) -> Result<(), ConditionError> {
-        let node = (environment.topics(), &environment.registry);
+        let node = (environment.feature::<Topics>(), &environment.registry);
         let object = object_of(condition)?;
         let tap = &mut |_: &_, channel: &ConnectedChannel| {
             channel.tap(node, &object, Arc::default()).map(drop)

@@ -5,8 +5,6 @@ use super::table::DirectoryTable;
 use crate::component::Component;
 use crate::component::cell::ComponentCell;
 use crate::component::declaration::{CellListener, Declarations};
-use crate::component::environment::ComponentEnvironment;
-use crate::component::extension::Extension;
 use crate::component::spec_error::SpecError;
 use crate::host::spec::ChildSpec;
 use crate::settings::SettingError;
@@ -14,15 +12,6 @@ use blastema_core::ObjectName;
 use blastema_core::directory::ClaimRequest;
 use blastema_core::sorted::SortedSet;
 use std::sync::Arc;
-
-impl Extension for DirectoryTable {}
-
-impl ComponentEnvironment {
-    /// What other nodes have, and the names of the whole robot.
-    pub(crate) fn directory(&self) -> &DirectoryTable {
-        self.extensions.get()
-    }
-}
 
 /// The names that a component claims.
 #[derive(Default)]
@@ -43,7 +32,7 @@ impl<C: Component> Declarations<C> for ClaimedNames {
     }
 
     fn bind(self: Box<Self>, cell: &Arc<ComponentCell<C>>) -> Result<(), SpecError> {
-        let names = cell.record.environment.directory().clone();
+        let names = cell.record.environment.feature::<DirectoryTable>().clone();
         let claims = self.0.into_iter().map(|(name, policy)| {
             let (name, object) = (ObjectName::new(&name)?, cell.record.name.clone());
             Ok((ClaimRequest { name, object, policy }, names.number()))

@@ -7,7 +7,7 @@ use crate::component::environment::ComponentEnvironment;
 use crate::component::ports::Ports;
 use crate::component::spec_error::SpecError;
 use crate::host::reference::ActorRef;
-use crate::liveness::limits::SharedLimits;
+use crate::liveness::limits::ComponentLimits;
 use crate::messaging::queue::WhenFull;
 use crate::platform::{self, panics};
 use crate::settings::{
@@ -29,7 +29,8 @@ pub struct ChildSpec<C: Component> {
     factory: Box<dyn Fn() -> C + Send + Sync>,
     queue: (usize, WhenFull),
     rate_hz: Option<f64>,
-    limits: SharedLimits,
+    /// Copied when they are changed.
+    limits: Arc<ComponentLimits>,
     max_wait: Option<Duration>,
     depends_on: Vec<String>,
     essential: bool,
@@ -71,13 +72,17 @@ impl<C: Component> ChildSpec<C> {
             factory: Box::new(factory),
             queue: (QUEUE.default, WhenFull::Refuse),
             rate_hz: None,
-            limits: SharedLimits::default(),
+            limits: ComponentLimits::shared(),
             max_wait: None,
             depends_on: Vec::new(),
             essential: false,
             parameters: Vec::new(),
             more_ports: Vec::new(),
         }
+    }
+
+    fn limits(&mut self) -> &mut ComponentLimits {
+        Arc::make_mut(&mut self.limits)
     }
 
     /// The component's name.
@@ -116,13 +121,13 @@ impl<C: Component> ChildSpec<C> {
 
     /// How its signs of life come.
     pub fn liveness(mut self, watch: Liveness) -> Self {
-        self.limits.set_watch(watch);
+        self.limits().set_watch(watch);
         self
     }
 
     /// Runs the component on a thread of its own: for long computations or blocking calls.
     pub fn on_own_thread(mut self) -> Self {
-        self.limits.own_thread = true;
+        self.limits().own_thread = true;
         self
     }
 
@@ -135,7 +140,7 @@ impl<C: Component> ChildSpec<C> {
     /// effect where the node [has no thread](crate::NodeBuilder::components_on_this_thread) for it,
     /// as in virtual time.
     pub fn priority(mut self, priority: u8) -> Self {
-        self.limits.scheduling.priority = Some(priority);
+        self.limits().scheduling.priority = Some(priority);
         self
     }
 
@@ -143,14 +148,14 @@ impl<C: Component> ChildSpec<C> {
     /// Others may run there too, unless the kernel keeps it free (`isolcpus`). The start is refused
     /// where the process may not use it. Without effect where [`priority`](Self::priority) is.
     pub fn cpu(mut self, cpu: usize) -> Self {
-        self.limits.scheduling.cpu = Some(cpu);
+        self.limits().scheduling.cpu = Some(cpu);
         self
     }
 
     /// Sets how long a handler may keep its arbiter before it counts as a hang; at least 10 ms. A
     /// longer limit tolerates slow handlers, and delays neighbours longer behind a hang.
     pub fn max_block(mut self, span: Duration) -> Self {
-        self.limits.hang().max_block = span;
+        self.limits().hang().max_block = span;
         self
     }
 
@@ -165,7 +170,7 @@ impl<C: Component> ChildSpec<C> {
     /// Sets how long a message may wait in the queue while the component works, before it is an
     /// [overload](blastema_core::FaultKind::Overload); one second unless set, at least 1 ms.
     pub fn max_delay(mut self, span: Duration) -> Self {
-        self.limits.hang().max_delay = span;
+        self.limits().hang().max_delay = span;
         self
     }
 
@@ -173,20 +178,20 @@ impl<C: Component> ChildSpec<C> {
     /// [overload](blastema_core::FaultKind::Overload) of what keeps its thread; 25 unless set, 100
     /// for any number.
     pub fn max_missed_rounds(mut self, percent: u8) -> Self {
-        self.limits.hang().max_missed_percent = percent;
+        self.limits().hang().max_missed_percent = percent;
         self
     }
 
     /// How long an incarnation may take to become active; at least 1 ms.
     pub fn ready_within(mut self, span: Duration) -> Self {
-        self.limits.ready_within = span;
+        self.limits().ready_within = span;
         self
     }
 
     /// How long an incarnation may take to end in order; after that it is ended out of order. Zero
     /// gives it no time at all.
     pub fn shutdown_within(mut self, span: Duration) -> Self {
-        self.limits.shutdown_within = span;
+        self.limits().shutdown_within = span;
         self
     }
 
@@ -252,10 +257,10 @@ impl<C: Component> ChildSpec<C> {
             declared.map_err(|panicked| SpecError::Ports { name: name.clone(), panicked })?;
         let interval = interval(self.rate_hz, limits.own_thread);
         if let Ok(Some(interval)) = interval {
-            limits.interval = Some(interval);
+            Arc::make_mut(&mut limits).interval = Some(interval);
         }
         if let Some(span) = self.max_wait.or(ports.max_wait) {
-            limits.hang().max_wait = span;
+            Arc::make_mut(&mut limits).hang().max_wait = span;
         }
         let own = [interval.err(), QUEUE.check(self.queue.0).err()];
         let settings = own.into_iter().flatten().chain(limits.check());

@@ -7,7 +7,6 @@ use crate::settings::{
 };
 use blastema_core::detection::hang::{HangLimits, MaxSilence};
 use blastema_core::detection::{Liveness, Pull, Push};
-use std::ops::{Deref, DerefMut};
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
@@ -46,32 +45,13 @@ impl Default for ComponentLimits {
     }
 }
 
-/// The limits of a component, copied when they are changed: most components share the default ones.
-#[derive(Clone)]
-pub(crate) struct SharedLimits(Arc<ComponentLimits>);
-
-impl Default for SharedLimits {
-    fn default() -> Self {
-        static DEFAULT: LazyLock<SharedLimits> = LazyLock::new(|| SharedLimits(Arc::default()));
+impl ComponentLimits {
+    /// The default ones, which most components share.
+    pub(crate) fn shared() -> Arc<Self> {
+        static DEFAULT: LazyLock<Arc<ComponentLimits>> = LazyLock::new(Arc::default);
         DEFAULT.clone()
     }
-}
 
-impl Deref for SharedLimits {
-    type Target = ComponentLimits;
-
-    fn deref(&self) -> &ComponentLimits {
-        &self.0
-    }
-}
-
-impl DerefMut for SharedLimits {
-    fn deref_mut(&mut self) -> &mut ComponentLimits {
-        Arc::make_mut(&mut self.0)
-    }
-}
-
-impl ComponentLimits {
     /// By what the hang detector is to judge the component.
     pub(crate) fn hang(&mut self) -> &mut HangLimits {
         Arc::make_mut(&mut self.hang)

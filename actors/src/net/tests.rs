@@ -23,6 +23,7 @@ use crate::host::spec::ChildSpec;
 use crate::node::assembly::with_features;
 use crate::runtime::guardian::Guardian;
 use crate::runtime::reports::FaultReports;
+use crate::topic::Topics;
 use crate::{
     Component, Context, Contract, Event, Handle, Ports, Publisher, Request, Sender, platform,
 };
@@ -196,7 +197,7 @@ impl Robot {
             guardian: Guardian::reporting_to(exits.recipient()),
             arbiter: None,
             registry: host.registry.clone(),
-            topics: host.topics().clone(),
+            topics: host.feature::<Topics>().clone(),
             dead_letters: host.dead_letters.clone(),
             may_be_away: SortedSet::new(),
             reports: NetReports {
@@ -254,7 +255,7 @@ impl Module {
     }
 
     fn publisher(&self) -> Publisher<Note> {
-        self.host.topics().publisher(Note::NAME).unwrap()
+        self.host.feature::<Topics>().publisher(Note::NAME).unwrap()
     }
 }
 

@@ -27,7 +27,6 @@ use super::{Node, Shared, order};
 use crate::actuator::ActuatorTable;
 use crate::arbiter::pool::{ArbiterPool, CULPRITS_LIMIT};
 use crate::component::environment::ComponentEnvironment;
-use crate::component::extension::Extensions;
 use crate::component::spec_error::SpecError;
 use crate::condition::{ConditionWiring, Conditions};
 use crate::directory::DirectoryTable;
@@ -45,8 +44,7 @@ use crate::service::Roster;
 use crate::topic::Topics;
 #[cfg(feature = "trees")]
 use crate::trees::TreeTable;
-use crate::variable::VariableStore;
-use crate::variable::ports::KEPT_VARIABLES;
+use crate::variable::{KEPT_VARIABLES, VariableStore};
 use actix::prelude::*;
 use blastema_contract::monitor::Register;
 use blastema_contract::reports::AreYouAlive;
@@ -58,6 +56,7 @@ use blastema_core::recovery::Restart;
 use blastema_core::{
     Fault, FaultKind, Incarnation, NameError, NodeName, ObjectAddress, ObjectName,
 };
+use std::any::Any;
 use std::fs;
 use std::future::Future;
 #[cfg(feature = "unix")]
@@ -222,7 +221,7 @@ async fn start(
     let _ = assembly
         .node
         .environment
-        .trees()
+        .feature::<TreeTable>()
         .record
         .set(assembly.node.chain.monitor.clone().recipient());
     assembly.keep_policies(builder.policies)?;
@@ -321,7 +320,7 @@ impl NodeAssembly {
             None => without_links(&file),
         };
         self.node.held.push(path.clone());
-        let kept = self.node.environment.variables().keep_in(path, lock, failed);
+        let kept = self.node.environment.feature::<VariableStore>().keep_in(path, lock, failed);
         kept.map_err(|error| StartError::of_path("keep_variables", &file, error.to_string()))?;
         self.enrolments.push(middleware(named(KEPT_VARIABLES), None));
         Ok(())
@@ -377,7 +376,7 @@ impl NodeAssembly {
 
     fn keep_leases(&mut self) {
         let (name, Shared { chain, environment, .. }) = (named("leases"), &self.node);
-        let actuators = environment.actuators();
+        let actuators = environment.feature::<ActuatorTable>();
         let leases = actuators.start(name.clone(), &chain.guardian, chain.arbiter.as_ref());
         self.enrolments.push(middleware(name, Some(leases)));
     }
@@ -390,16 +389,21 @@ impl NodeAssembly {
         };
         let wiring = ConditionWiring {
             reports: environment.reports.clone(),
-            topics: environment.topics().clone(),
-            actuators: environment.actuators().clone(),
+            topics: environment.feature::<Topics>().clone(),
+            actuators: environment.feature::<ActuatorTable>().clone(),
             registry: environment.registry.clone(),
-            directory: environment.directory().clone(),
+            directory: environment.feature::<DirectoryTable>().clone(),
             net,
             links: self.node.networks.iter().flat_map(|networks| networks.links.clone()).collect(),
             timeout,
         };
         let arbiter = chain.arbiter.as_ref();
-        let pings = environment.conditions().start(wiring, name.clone(), &chain.guardian, arbiter);
+        let pings = environment.feature::<Conditions>().start(
+            wiring,
+            name.clone(),
+            &chain.guardian,
+            arbiter,
+        );
         self.enrolments.push(middleware(name, Some(pings)));
     }
 
@@ -509,7 +513,8 @@ impl NodeAssembly {
     }
 
     fn into_node(self) -> Node {
-        self.node.environment.declare_complaints();
+        let environment = &self.node.environment;
+        environment.feature::<VariableStore>().report_complaints(&environment.reports);
         let node = Node(Arc::new(self.node));
         node.0.policies.iter().for_each(|policy| policy.attach(&node));
         order::serve_operators(&node);
@@ -555,19 +560,19 @@ pub(crate) fn with_features(
     actuators: ActuatorTable,
 ) -> ComponentEnvironment {
     let topics = Topics::new(environment.dead_letters.clone(), environment.reports.clone());
-    let extensions = Extensions::default()
-        .with(topics)
-        .with(actuators)
-        .with(VariableStore::default())
-        .with(Configured::default())
-        .with(Conditions::default());
-    #[cfg(feature = "trees")]
-    let extensions = extensions.with(TreeTable::default());
-    let extensions = {
-        let directory = DirectoryTable::default();
-        extensions.with(Roster::new(directory.clone())).with(directory)
-    };
-    ComponentEnvironment { extensions, ..environment }
+    let directory = DirectoryTable::default();
+    let features: Vec<Box<dyn Any + Send + Sync>> = vec![
+        Box::new(topics),
+        Box::new(actuators),
+        Box::new(VariableStore::default()),
+        Box::new(Configured::default()),
+        Box::new(Conditions::default()),
+        #[cfg(feature = "trees")]
+        Box::new(TreeTable::default()),
+        Box::new(Roster::new(directory.clone())),
+        Box::new(directory),
+    ];
+    ComponentEnvironment { features, ..environment }
 }
 
 fn enrolment(node: &NodeName, facts: &ComponentFacts) -> Result<Register, NameError> {

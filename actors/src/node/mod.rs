@@ -49,10 +49,12 @@ pub use network::{
 pub use order::{ComponentOrder, OrderReply, OrderRow, OrderVerb};
 pub use tree::{Subtree, SupervisorSpec};
 
+use crate::actuator::ActuatorTable;
 use crate::actuator::{self, ActuatorRow, Commander};
 use crate::component::Component;
 use crate::component::environment::ComponentEnvironment;
 use crate::component::spec_error::SpecError;
+use crate::condition::Conditions;
 use crate::condition::{
     Condition, ConditionError, ConditionStatus, Connected, Heartbeat, heartbeat,
 };
@@ -67,9 +69,11 @@ use crate::messaging::sender::Sender;
 use crate::platform;
 use crate::platform::file_lock::released_here;
 use crate::platform::systemd::Systemd;
+use crate::topic::Topics;
 use crate::topic::{Publisher, TopicRow};
 #[cfg(feature = "trees")]
-use crate::trees::{TreeChangeRow, TreeNodeRow};
+use crate::trees::{TreeChangeRow, TreeNodeRow, TreeTable};
+use crate::variable::VariableStore;
 use crate::variable::{self, VariableRef};
 use assembly::FaultChain;
 use assembly::Networks;
@@ -205,12 +209,12 @@ impl Node {
 
     /// Returns the actuators of this node with their commanders.
     pub fn actuators(&self) -> Vec<ActuatorRow> {
-        self.0.environment.actuators().rows()
+        self.0.environment.feature::<ActuatorTable>().rows()
     }
 
     /// Returns the topics used by objects of this node, with their publishers, listeners and rates.
     pub fn topics(&self) -> Vec<TopicRow> {
-        let rows = self.0.environment.topics().rows();
+        let rows = self.0.environment.feature::<Topics>().rows();
         rows.into_iter().map(|row| self.with_publishing_nodes(row)).collect()
     }
 
@@ -262,7 +266,7 @@ impl Node {
     /// [`DeliveryError::ShutDown`] after a [`shutdown`](Self::shutdown).
     #[track_caller]
     pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, DeliveryError> {
-        self.0.environment.topics().publisher_of(topic, self.0.name.as_str())
+        self.0.environment.feature::<Topics>().publisher_of(topic, self.0.name.as_str())
     }
 
     /// Connects the out port of a component to the port of another one while the node runs. The
@@ -385,13 +389,13 @@ impl Node {
     /// Returns the nodes of behaviour trees that are not idle.
     #[cfg(feature = "trees")]
     pub fn trees(&self) -> Vec<TreeNodeRow> {
-        self.0.environment.trees().nodes()
+        self.0.environment.feature::<TreeTable>().nodes()
     }
 
     /// Returns the last ticks of behaviour trees in which nodes have changed.
     #[cfg(feature = "trees")]
     pub fn tree_changes(&self) -> Vec<TreeChangeRow> {
-        self.0.environment.trees().changes()
+        self.0.environment.feature::<TreeTable>().changes()
     }
 
     /// Returns the threads that components run on: what occupies them, their utilisation, and their
@@ -408,7 +412,7 @@ impl Node {
     /// # Errors
     /// [`ConditionError`] says what to write instead.
     pub fn condition(&self, name: &str, needs: Connected) -> Result<Condition, ConditionError> {
-        self.0.environment.conditions().declare(name, &needs, platform::now(), None)
+        self.0.environment.feature::<Conditions>().declare(name, &needs, platform::now(), None)
     }
 
     /// Publishes a [`Heartbeat`] on this topic every `interval`, 10 ms to an hour, for as long as
@@ -468,7 +472,7 @@ impl Node {
         if !policy.lock().handle_acknowledged() {
             return Err(AcknowledgeError::NotBack { name });
         }
-        self.0.environment.conditions().look_soon();
+        self.0.environment.feature::<Conditions>().look_soon();
         Ok(())
     }
 
@@ -614,7 +618,7 @@ impl Node {
             let _ = self.0.last_record.set(record);
         }
         self.0.environment.registry.shut_down();
-        self.0.environment.topics().shut_down(&self.0.name);
+        self.0.environment.feature::<Topics>().shut_down(&self.0.name);
         self.0.stop_threads(cause, stopped.is_some());
         if stopped.is_some() {
             for path in &self.0.held {
@@ -641,8 +645,8 @@ impl Shared {
     /// the process may fire.
     fn stop_threads(&self, cause: &str, in_order: bool) {
         self.environment.arbiters.stop();
-        self.environment.conditions().end();
-        self.environment.variables().close_file();
+        self.environment.feature::<Conditions>().end();
+        self.environment.feature::<VariableStore>().close_file();
         if let Some(networks) = &self.networks {
             networks.stop();
         }

@@ -6,6 +6,7 @@
 //! program waits for them.
 
 use super::{NodeState, Shared};
+use crate::actuator::ActuatorTable;
 use crate::arbiter::heartbeat::ArbiterHeartbeat;
 use crate::fault_chain::strategy::NOT_RETURNED;
 use crate::platform::signals::{Termination, Terminations, on_termination};
@@ -51,7 +52,7 @@ impl Shared {
     /// has any.
     pub(super) fn apply_safe_outputs_on_signals(self: &Arc<Self>) -> io::Result<()> {
         if !self.chain.safe_outputs.are_declared() {
-            for actuator in self.environment.actuators().without_cut_off() {
+            for actuator in self.environment.feature::<ActuatorTable>().without_cut_off() {
                 warn!(%actuator, "nothing stops this actuator if its component hangs: declare a cut_off, or safe_outputs of the node");
             }
         }
@@ -104,12 +105,13 @@ impl Shared {
     }
 
     fn has_outputs(&self) -> bool {
-        self.chain.safe_outputs.are_declared() || !self.environment.actuators().is_empty()
+        self.chain.safe_outputs.are_declared()
+            || !self.environment.feature::<ActuatorTable>().is_empty()
     }
 
     /// What is to be said of the outputs, once they are safe or have taken longer than they may.
     fn apply_outputs(&self, cause: &str) -> &'static str {
-        let actuators = self.environment.actuators();
+        let actuators = self.environment.feature::<ActuatorTable>();
         let now = platform::now();
         let fault =
             Fault::of_node(self.name.clone(), FaultKind::NodeInSafeState, cause.into(), now);

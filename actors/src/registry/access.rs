@@ -12,21 +12,14 @@ use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::Duration;
 use tracing::warn;
 
-/// What a message wants of an object.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum AccessWish {
-    /// To command an actuator.
-    Command,
-    /// To read or watch a variable.
-    Read,
-    /// To write a variable, or to decide on its value.
-    Write,
-}
-
 /// The rights of other nodes at this one. Clones are the same.
 #[derive(Clone, Default)]
-pub(crate) struct AccessControl {
-    rights: Arc<Rights>,
+pub(crate) struct AccessControl(Arc<Rights>);
+
+#[derive(Default)]
+struct Rights {
+    policy: RwLock<Option<Arc<AccessPolicy>>>,
+    log: Mutex<RefusalLog>,
 }
 
 /// Where a message comes from: an object of this node, or another node.
@@ -54,41 +47,6 @@ impl From<&MessageMetadata> for MessageOrigin {
     }
 }
 
-impl AccessControl {
-    /// Whether a message may do this at an object of this node, by this contract.
-    ///
-    /// # Errors
-    /// [`DeliveryError::Forbidden`].
-    pub(crate) fn check(
-        &self,
-        from: MessageOrigin,
-        wish: AccessWish,
-        object: &ObjectName,
-        contract: impl FnOnce() -> String,
-    ) -> Result<(), DeliveryError> {
-        if let Some(peer) = from.peer {
-            return self.rights.check(peer, wish, object, contract);
-        }
-        Ok(())
-    }
-}
-
-impl AccessControl {
-    /// Whether a node, this one or another, may serve under a name of the robot.
-    pub(crate) fn may_claim(&self, node: &NodeName, name: &ObjectName) -> bool {
-        if let Some(policy) = self.policy() {
-            return policy.may_claim(node, name);
-        }
-        true
-    }
-}
-
-#[derive(Default)]
-struct Rights {
-    policy: RwLock<Option<Arc<AccessPolicy>>>,
-    log: Mutex<RefusalLog>,
-}
-
 /// What another node wanted to do here, and may not by the robot's roster.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
@@ -112,21 +70,19 @@ pub struct AccessRefusal {
     pub last: Duration,
 }
 
-impl Rights {
-    fn check(
+impl AccessControl {
+    /// Whether a message may do this at an object of this node, by this contract.
+    ///
+    /// # Errors
+    /// [`DeliveryError::Forbidden`].
+    pub(crate) fn check(
         &self,
-        peer: NodeId,
-        wish: AccessWish,
+        from: MessageOrigin,
+        verb: Verb,
         object: &ObjectName,
         contract: impl FnOnce() -> String,
     ) -> Result<(), DeliveryError> {
-        let policy = self.policy.read().unwrap_or_else(PoisonError::into_inner).clone();
-        let Some(policy) = policy else { return Ok(()) };
-        let verb = match wish {
-            AccessWish::Command => Verb::Lease,
-            AccessWish::Read => Verb::Read,
-            AccessWish::Write => Verb::Set,
-        };
+        let (Some(peer), Some(policy)) = (from.peer, self.policy()) else { return Ok(()) };
         if policy.is_open(peer, verb) {
             return Ok(());
         }
@@ -137,8 +93,14 @@ impl Rights {
         })
     }
 
-    fn record(&self, denied: AccessDenied) {
-        let mut log = lock(&self.log);
+    /// Whether a node, this one or another, may serve under a name of the robot.
+    pub(crate) fn may_claim(&self, node: &NodeName, name: &ObjectName) -> bool {
+        self.policy().is_none_or(|policy| policy.may_claim(node, name))
+    }
+
+    /// A peer was refused something.
+    pub(crate) fn record(&self, denied: AccessDenied) {
+        let mut log = lock(&self.0.log);
         let Some(times) = log.handle_refused(denied.clone(), platform::now()) else { return };
         drop(log);
         let AccessDenied { peer, verb, object, contract, line, serial } = denied;
@@ -148,41 +110,34 @@ impl Rights {
             "refused: the node may not do this"
         );
     }
-}
 
-impl AccessControl {
     /// From now on this policy counts.
     pub(crate) fn replace(&self, policy: AccessPolicy) {
         let policy = Some(Arc::new(policy));
-        *self.rights.policy.write().unwrap_or_else(PoisonError::into_inner) = policy;
+        *self.0.policy.write().unwrap_or_else(PoisonError::into_inner) = policy;
     }
 
     /// The policy that counts.
     pub(crate) fn policy(&self) -> Option<Arc<AccessPolicy>> {
-        self.rights.policy.read().unwrap_or_else(PoisonError::into_inner).clone()
-    }
-
-    /// A peer was refused something.
-    pub(crate) fn record(&self, denied: AccessDenied) {
-        self.rights.record(denied);
+        self.0.policy.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// The refusal of a program that was last, and when.
     pub(crate) fn newest_of_a_program(&self) -> Option<RefusalRow> {
-        let log = lock(&self.rights.log);
+        let log = lock(&self.0.log);
         log.rows().filter(|row| row.denied.is_of_a_program()).max_by_key(|row| row.last)
     }
 
     /// Nodes that were refused so much, or more, since this was asked last.
     pub(crate) fn take_floods(&self, least: u64) -> Vec<NodeName> {
-        let mut log = lock(&self.rights.log);
+        let mut log = lock(&self.0.log);
         log.take_floods(least)
     }
 
     /// What was refused, in the order of nodes.
     pub(crate) fn refusals(&self) -> Vec<AccessRefusal> {
         let now = platform::now();
-        let log = lock(&self.rights.log);
+        let log = lock(&self.0.log);
         let row = |row: RefusalRow| AccessRefusal {
             node: row.denied.peer,
             verb: row.denied.verb.word(),

@@ -26,8 +26,7 @@ pub(crate) fn encoded_reply<M: Contract>(
 pub(crate) fn read_result<M>(
     read: Result<Result<M, codec::DecodeError>, String>,
 ) -> Result<M, DeliveryError> {
-    read.map_err(|reason| DeliveryError::CheckFailed { reason })?
-        .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })
+    Ok(read.map_err(|reason| DeliveryError::CheckFailed { reason })??)
 }
 
 pub(super) fn encoding(error: codec::EncodeError, limit: usize) -> DeliveryError {
@@ -56,7 +55,7 @@ impl OtherContract {
     pub(crate) fn difference<M: Contract>(&self, party: &str) -> DeliveryError {
         let difference = match PeerIdentity::decode(&self.identity) {
             Ok(theirs) => ContractIdentity::of::<M>().check(&theirs).err(),
-            Err(error) => return DeliveryError::Undecodable { reason: error.to_string() },
+            Err(error) => return error.into(),
         };
         let difference = difference.map_or(format!("the {party} says so"), |it| it.to_string());
         DeliveryError::ContractDiffers { difference }
@@ -90,8 +89,7 @@ impl RequestRefusal {
 
 /// The identity of a contract that a request names.
 pub(crate) fn named_contract(identity: &[u8]) -> Result<PeerIdentity, DeliveryError> {
-    PeerIdentity::decode(identity)
-        .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })
+    Ok(PeerIdentity::decode(identity)?)
 }
 
 impl<T, M: Contract<Reply = Result<T, OtherContract>>> Responder<M> {

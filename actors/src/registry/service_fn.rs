@@ -70,8 +70,7 @@ impl<M: Contract> Skeleton for ServiceFn<M> {
         metadata: MessageMetadata,
         reply_to: Option<ReplyTo>,
     ) -> Result<(), DeliveryError> {
-        let decoded = codec::decode_shared::<M>(message)
-            .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() });
+        let decoded = codec::decode_shared::<M>(message).map_err(DeliveryError::from);
         match (decoded, reply_to) {
             (Ok(message), reply_to) => {
                 let callback = move |result: Result<M::Reply, DeliveryError>| {

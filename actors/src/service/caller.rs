@@ -171,9 +171,7 @@ impl<M: Request> ServiceRef<M> {
             let pursued = tokio::time::timeout(until - platform::now(), pursued).await;
             let why = match pursued.unwrap_or_else(|_| Err(progress.why())) {
                 Ok(reply) => {
-                    return codec::decode_reply::<M>(&reply).map_err(|error| {
-                        failed(DeliveryError::Undecodable { reason: error.to_string() })
-                    });
+                    return codec::decode_reply::<M>(&reply).map_err(|error| failed(error.into()));
                 }
                 Err(why) => why,
             };
@@ -268,9 +266,7 @@ impl<M: Request> ServiceRef<M> {
                     continue;
                 }
             };
-            let outcome = outcome
-                .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })?;
-            match outcome {
+            match outcome? {
                 ServiceOutcome::Served(result) => {
                     self.finder.note_answer(node, epoch);
                     return result;

@@ -12,7 +12,6 @@
 //! machine in the core.
 
 mod caller;
-mod context;
 mod finder;
 mod replica;
 mod roster;
@@ -35,7 +34,6 @@ use blastema_core::sorted::SortedSet;
 use blastema_core::{DeliveryError, NodeName, ObjectName};
 use bytes::Bytes;
 use std::fmt;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::Duration;
 use types::DriveComponent;
@@ -226,12 +224,10 @@ fn check(config: &ReplicaConfig) -> Result<(), String> {
 /// there is a node that would catch a panic.
 fn first_state<C: Stateful>(factory: &dyn Fn() -> C) -> Result<Bytes, String> {
     panics::install_hook();
-    let _guarded = panics::PanicGuard::enter();
-    catch_unwind(AssertUnwindSafe(|| factory().save().into())).map_err(|payload| {
-        let panics::PanicRecord { text, at } = panics::read(payload);
+    panics::caught(|| factory().save().into()).map_err(|panicked| {
         format!(
-            "its component panicked at {at} while it was built, or saved its first state: {text}; let the factory \
-             and `save` do without what may be missing, and report that from `on_initialize`"
+            "its component {panicked}, while it was built or saved its first state; let the factory and `save` do \
+             without what may be missing, and report that from `on_initialize`"
         )
     })
 }

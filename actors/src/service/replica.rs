@@ -16,11 +16,11 @@ use crate::registry::access::MessageOrigin;
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, MessageMetadata, NameTaken, Registry, ReplyTo};
 use crate::runtime::driver::{MachineActor, WakeTimer};
-use crate::runtime::guardian::{self, Guardian, answers_the_monitor};
+use crate::runtime::guardian::{Guardian, answers_the_monitor};
 use crate::runtime::reports::FaultReports;
 use actix::fut::wrap_future;
 use actix::prelude::*;
-use blastema_contract::reports::{AreYouAlive, DeclaredFaultCleared, FaultDeclared};
+use blastema_contract::reports::AreYouAlive;
 use blastema_core::contract::codec;
 use blastema_core::net::NodeId;
 use blastema_core::service::{
@@ -85,6 +85,8 @@ pub(crate) struct ReplicaActor {
     next_caller: u64,
     /// The component is to be asked whether it accepts jobs again.
     polls_component: bool,
+    /// The epoch in which the component serves, as it was told.
+    told_epoch: Option<u64>,
 }
 
 impl ReplicaActor {
@@ -96,7 +98,7 @@ impl ReplicaActor {
         arbiter: Option<&ArbiterHandle>,
     ) -> Result<Recipient<AreYouAlive>, NameTaken> {
         let ComponentEnvironment { registry, .. } = environment;
-        let roster = environment.services();
+        let roster = environment.feature::<Roster>();
         let (kept, known, names) = (carried.clone(), roster.clone(), registry.clone());
         let reports = environment.reports.clone();
         let make = move |_: &mut Context<Self>| {
@@ -113,6 +115,7 @@ impl ReplicaActor {
                 inquiry: None,
                 next_caller: 0,
                 polls_component: false,
+                told_epoch: None,
             }
         };
         let actor = guardian.start(carried.actor.clone(), arbiter, make);
@@ -164,9 +167,9 @@ impl ReplicaActor {
     }
 
     fn execute(&mut self, request: &[u8], save: bool, context: &mut Context<Self>) {
-        let read = codec::decode_bounded::<Task, TASK_MAX>(request).map_err(undecodable);
+        let read = codec::decode_bounded::<Task, TASK_MAX>(request).map_err(DeliveryError::from);
         let read = read.and_then(|Task { identity, payload }| {
-            let theirs = PeerIdentity::decode(&identity).map_err(undecodable)?;
+            let theirs = PeerIdentity::decode(&identity)?;
             let (ours, _) = self.registry.skeleton(&self.carried.component, &theirs.name)?;
             match ours.check(&theirs) {
                 Ok(()) => Ok((theirs.name, payload)),
@@ -209,8 +212,8 @@ impl ReplicaActor {
         let _ = codec::encode(message, &mut bytes);
         let read =
             move |replica: &mut Self, reply: Result<Bytes, _>, context: &mut Context<Self>| {
-                let decode = |reply: Bytes| codec::decode_reply::<DriveComponent>(&reply);
-                then(replica, reply.and_then(|reply| decode(reply).map_err(undecodable)), context);
+                let decode = |reply: Bytes| Ok(codec::decode_reply::<DriveComponent>(&reply)?);
+                then(replica, reply.and_then(decode), context);
             };
         self.hand_over(DriveComponent::NAME, bytes, read, context);
     }
@@ -272,21 +275,9 @@ impl ReplicaActor {
 
     /// Declares a fault of the service.
     fn declare(&self, kind: FaultKind, detail: &str) {
-        let name = &self.carried.name;
+        let Carried { name, actor, .. } = &self.carried;
         warn!(service = %name, "{detail}");
-        if let Some(faults) = &self.reports.faults {
-            let (object, incarnation) = (self.carried.actor.clone(), guardian::alive().incarnation);
-            let detail = format!("service {name}: {detail}");
-            faults.do_send(FaultDeclared { object, incarnation, kind, detail, hold: None });
-        }
-    }
-
-    /// Clears a fault of the service.
-    fn clear_fault(&self, kind: FaultKind) {
-        if let Some(cleared) = &self.reports.cleared {
-            let (object, incarnation) = (self.carried.actor.clone(), guardian::alive().incarnation);
-            cleared.do_send(DeclaredFaultCleared { object, incarnation, kind });
-        }
+        self.reports.declare_kind(actor.clone(), kind, format!("service {name}: {detail}"));
     }
 
     fn became(&mut self, role: &Role, context: &mut Context<Self>) {
@@ -302,10 +293,9 @@ impl ReplicaActor {
                 None
             }
         };
-        let before = self.roster.role(name);
-        self.roster.note(name, role.clone());
+        self.show();
         self.answer_questions();
-        if matches!(before, Some(Role::Primary { .. })) || epoch.is_some() {
+        if std::mem::replace(&mut self.told_epoch, epoch).is_some() || epoch.is_some() {
             self.send_role(context);
         }
     }
@@ -323,9 +313,9 @@ impl ReplicaActor {
 
     /// Returns the epoch in which this node serves, or the greatest one that it knows.
     fn epoch(&self) -> u64 {
-        match self.roster.role(&self.carried.name) {
-            Some(Role::Primary { epoch }) => epoch,
-            _ => self.machine.view().epoch,
+        match self.machine.role() {
+            Role::Primary { epoch } => epoch,
+            Role::Standby { .. } => self.machine.view().epoch,
         }
     }
 
@@ -333,8 +323,7 @@ impl ReplicaActor {
     /// otherwise as soon as one is known.
     fn answer_question(&mut self, question: WhoServes, responder: Responder<WhoServes>) {
         let config = &self.carried.config;
-        let primary = self.roster.primary(&self.carried.name, &config.own);
-        let primary = primary.map(|node| node.to_string());
+        let primary = self.machine.view().primary.map(|node| node.to_string());
         let disputed = self.machine.mismatch();
         let known = disputed.is_some() || primary.is_some() && primary != question.besides;
         if !known && self.questions.len() >= QUESTIONS_MAX {
@@ -351,9 +340,9 @@ impl ReplicaActor {
 
     /// Sends the role to the component.
     fn send_role(&self, context: &mut Context<Self>) {
-        let epoch = match self.roster.role(&self.carried.name) {
-            Some(Role::Primary { epoch }) => Some(epoch),
-            _ => None,
+        let epoch = match self.machine.role() {
+            Role::Primary { epoch } => Some(epoch),
+            Role::Standby { .. } => None,
         };
         let then = |replica: &mut Self, received, context: &mut Context<Self>| match received {
             Ok(_) => replica.machine.handle_component_resumed(platform::now()),
@@ -495,15 +484,6 @@ impl MachineActor for ReplicaActor {
     }
 
     fn carry_out(&mut self, output: ReplicaOutput, context: &mut Context<Self>) {
-        let shows = matches!(
-            output,
-            ReplicaOutput::RoleChanged(_)
-                | ReplicaOutput::Fault { .. }
-                | ReplicaOutput::FaultCleared { .. }
-        );
-        if shows {
-            self.show();
-        }
         match output {
             ReplicaOutput::Send { to, message } => self.send(&to, message),
             ReplicaOutput::RoleChanged(role) => self.became(&role, context),
@@ -511,11 +491,15 @@ impl MachineActor for ReplicaActor {
             ReplicaOutput::Save => self.save(None, context),
             ReplicaOutput::Load { state } => self.load(state, context),
             ReplicaOutput::Fault { kind, detail } => {
+                self.show();
                 self.declare(kind, &detail);
                 // Those who wait for a primary are answered if there can be none.
                 self.answer_questions();
             }
-            ReplicaOutput::FaultCleared { kind } => self.clear_fault(kind),
+            ReplicaOutput::FaultCleared { kind } => {
+                self.show();
+                self.reports.clear_kind(self.carried.actor.clone(), kind);
+            }
             ReplicaOutput::Compare { with } => self.compare(with, context),
             ReplicaOutput::CheckDependencies => self.inquire(context),
             ReplicaOutput::Answer { caller, outcome } => {
@@ -551,8 +535,7 @@ impl Supervised for ReplicaActor {
         self.callers.clear();
         self.questions.clear();
         self.inquiry = None;
-        let standby = Role::Standby { primary: None, in_step: false };
-        self.became(&standby, context);
+        self.became(&Role::default(), context);
         self.started(context);
     }
 }
@@ -628,10 +611,6 @@ fn sender(name: &str, MessageOrigin { peer }: MessageOrigin) -> Option<NodeName>
     NodeName::new(name).ok().filter(|name| peer == Some(NodeId::of(name)))
 }
 
-fn undecodable(error: codec::DecodeError) -> DeliveryError {
-    DeliveryError::Undecodable { reason: error.to_string() }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -680,6 +659,7 @@ mod tests {
             inquiry: None,
             next_caller: 0,
             polls_component: false,
+            told_epoch: None,
         })
     }
 

@@ -13,12 +13,7 @@ use std::time::Duration;
 struct CarriedEntry {
     members: Vec<NodeName>,
     kind: StandbyKind,
-    role: Role,
-    shown: Option<ShownView>,
-}
-
-/// The last view of a replica.
-struct ShownView {
+    /// The last view of its replica.
     view: ServiceView,
     at: Instant,
     /// Since when it has been in that state.
@@ -69,18 +64,18 @@ impl Roster {
 
     /// Adds a service that this node carries.
     pub(crate) fn enter(&self, name: ObjectName, config: &ReplicaConfig) {
-        let role = Role::Standby { primary: None, in_step: false };
-        let (members, kind) = (config.members.clone(), config.kind);
-        platform::lock(&self.services)
-            .insert(name, CarriedEntry { members, kind, role, shown: None });
+        let (members, kind, at) = (config.members.clone(), config.kind, platform::now());
+        let entry = CarriedEntry { members, kind, view: ServiceView::default(), at, since: at };
+        platform::lock(&self.services).insert(name, entry);
     }
 
     /// Stores the view of this node's replica.
     pub(crate) fn show(&self, name: &ObjectName, view: ServiceView, at: Instant) {
         if let Some(entry) = platform::lock(&self.services).get_mut(name) {
-            let before = entry.shown.as_ref().filter(|shown| shown.view.state == view.state);
-            let since = before.map_or(at, |shown| shown.since);
-            entry.shown = Some(ShownView { view, at, since });
+            if entry.view.state != view.state {
+                entry.since = at;
+            }
+            (entry.view, entry.at) = (view, at);
         }
     }
 
@@ -88,42 +83,26 @@ impl Roster {
     pub(crate) fn rows(&self) -> Vec<ServiceRow> {
         let now = platform::now();
         let services = platform::lock(&self.services);
-        let rows = services.iter().filter_map(|(name, entry)| {
-            let ShownView { view, at, since } = entry.shown.as_ref()?;
-            Some(ServiceRow {
+        let row = |(name, CarriedEntry { members, kind, view, at, since }): (&ObjectName, &_)| {
+            ServiceRow {
                 name: name.clone(),
                 state: view.state,
                 since: now - *since,
-                kind: entry.kind,
+                kind: *kind,
                 epoch: view.epoch,
                 primary: view.primary.clone(),
-                members: entry.members.clone(),
+                members: members.clone(),
                 missing_members: view.unreachable.clone(),
                 unreplicated: view.unreplicated,
                 age: now - *at,
-            })
-        });
-        rows.collect()
-    }
-
-    /// Stores the role of this node's replica.
-    pub(crate) fn note(&self, name: &ObjectName, role: Role) {
-        if let Some(entry) = platform::lock(&self.services).get_mut(name) {
-            entry.role = role;
-        }
+            }
+        };
+        services.iter().map(row).collect()
     }
 
     /// Returns the role of this node's replica, if it has one.
     pub(crate) fn role(&self, name: &ObjectName) -> Option<Role> {
-        platform::lock(&self.services).get(name).map(|entry| entry.role.clone())
-    }
-
-    /// Returns the primary, as far as this node's replica knows.
-    pub(crate) fn primary(&self, name: &ObjectName, own: &NodeName) -> Option<NodeName> {
-        match &platform::lock(&self.services).get(name)?.role {
-            Role::Primary { .. } => Some(own.clone()),
-            Role::Standby { primary, .. } => primary.clone(),
-        }
+        platform::lock(&self.services).get(name).map(|entry| entry.view.role.clone())
     }
 
     /// Returns the nodes that carry the service: those of this node's configuration, which may be

@@ -97,8 +97,16 @@ pub(crate) type RemoteForward = Arc<dyn EventForward>;
 /// answers.
 pub(crate) type InterestObserver = Arc<dyn Fn(&TopicKey) + Send + Sync>;
 
-/// Set, with the node's name, once the node was shut down.
-type NodeEnd = Arc<OnceLock<NodeName>>;
+/// What all topics of a node share.
+pub(crate) struct NodeTopics {
+    dead_letters: DeadLetterLog,
+    reports: FaultReports,
+    interest: Mutex<Option<InterestObserver>>,
+    /// How often a publisher came or went.
+    publishing: AtomicU64,
+    /// The node's name, once the node was shut down.
+    ended: OnceLock<NodeName>,
+}
 
 /// Which topic: its own name, and that of its contract.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -135,8 +143,7 @@ pub(crate) struct Topic<E: Event> {
     key: TopicKey,
     id: u64,
     hubs: Mutex<Hubs<E>>,
-    forwards: Mutex<Arc<[RemoteForward]>>,
-    is_forwarded: AtomicBool,
+    forwards: Forwards,
     listeners: AtomicU64,
     /// Held while an event of a latched topic is handed out, so that a listener that joins gets it
     /// once.
@@ -145,14 +152,25 @@ pub(crate) struct Topic<E: Event> {
     taps: TopicTaps<E>,
     /// Listeners here, and other nodes that have some.
     matched: watch::Sender<usize>,
-    dead_letters: DeadLetterLog,
-    reports: FaultReports,
+    node: Arc<NodeTopics>,
     /// It is known that its events panic.
     complained: AtomicBool,
-    interest: Arc<Mutex<Option<InterestObserver>>>,
     /// The earlier versions that are understood.
     former: Vec<PreviousVersion<E>>,
-    ended: NodeEnd,
+}
+
+/// The ways of a topic's events to other nodes.
+#[derive(Default)]
+struct Forwards {
+    /// There are some; to be looked at without the lock.
+    any: AtomicBool,
+    all: Mutex<Arc<[RemoteForward]>>,
+}
+
+impl Forwards {
+    fn all(&self) -> Arc<[RemoteForward]> {
+        lock(&self.all).clone()
+    }
 }
 
 /// The capacity that waits for one event on the way to other nodes.
@@ -199,13 +217,13 @@ struct Hubs<E> {
 impl<E: Event> Topic<E> {
     /// Why nothing is published on a topic of a node that was shut down.
     fn shut_down(&self) -> Option<DeliveryError> {
-        self.ended.get().map(|node| DeliveryError::ShutDown { node: node.to_string() })
+        self.node.ended.get().map(|node| DeliveryError::ShutDown { node: node.to_string() })
     }
 
     /// Waits until there is capacity for this event to each other node that listens.
     async fn reserve(&self, event: &E) -> ReservedForwards {
         let mut reserved = ReservedForwards::default();
-        let forwards = lock(&self.forwards).clone();
+        let forwards = self.forwards.all();
         // What cannot be encoded is counted when it is published.
         let Ok(parcel) = codec::encode_parcel(event) else { return reserved };
         // Who waits holds nothing: two that want the same, in whatever order, do not block each other.
@@ -222,7 +240,7 @@ impl<E: Event> Topic<E> {
     /// One of them has none.
     fn reserve_now(&self, event: &E) -> Result<ReservedForwards, DeliveryError> {
         let mut reserved = ReservedForwards::default();
-        let forwards = lock(&self.forwards).clone();
+        let forwards = self.forwards.all();
         if forwards.is_empty() {
             return Ok(reserved);
         }
@@ -247,7 +265,7 @@ impl<E: Event> Topic<E> {
         if self.traffic.is_to_be_measured() {
             self.measure(&event);
         }
-        let is_forwarded = self.is_forwarded.load(Relaxed);
+        let is_forwarded = self.forwards.any.load(Relaxed);
         // A node that begins to listen meanwhile gets this event, and gets it once.
         let latch = self.lock_latch();
         if is_forwarded || latch.is_some() {
@@ -361,12 +379,12 @@ impl<E: Event> Topic<E> {
     fn complain(&self, why: &str) {
         if !self.complained.swap(true, Relaxed) {
             let detail = format!("an event {} panics in its Clone or Drop: it {why}", E::NAME);
-            self.reports.declare(self.key.topic.as_str(), detail);
+            self.node.reports.declare(self.key.topic.as_str(), detail);
         }
     }
 
     fn forward(&self, event: &E, sent: Instant, mut reserved: ReservedForwards) {
-        let forwards = lock(&self.forwards).clone();
+        let forwards = self.forwards.all();
         if forwards.is_empty() {
             return;
         }
@@ -384,7 +402,7 @@ impl<E: Event> Topic<E> {
 
     /// Counts an event that a hub lost.
     fn record_dead_letter(&self, why: &DeliveryError) {
-        self.dead_letters.record(&self.key.topic, E::NAME, why);
+        self.node.dead_letters.record(&self.key.topic, E::NAME, why);
     }
 
     /// Counts a listener that joins, while the caller holds the latch: see
@@ -402,7 +420,7 @@ impl<E: Event> Topic<E> {
     fn listener_changed(&self, name: &ObjectName, more: bool, first_or_last: bool) {
         self.traffic.listens(name, more);
         self.renew_matched();
-        let interest = lock(&self.interest).clone();
+        let interest = lock(&self.node.interest).clone();
         if let Some(interest) = interest.filter(|_| first_or_last) {
             interest(&self.key);
         }
@@ -411,7 +429,7 @@ impl<E: Event> Topic<E> {
     fn renew_matched(&self) {
         self.matched.send_modify(|matched| {
             let here = self.listeners.load(Relaxed);
-            let forwards = lock(&self.forwards).clone();
+            let forwards = self.forwards.all();
             let elsewhere = forwards.iter().filter(|forward| !forward.has_ended()).count();
             *matched = usize::try_from(here).unwrap_or(usize::MAX).saturating_add(elsewhere);
         });

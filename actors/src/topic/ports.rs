@@ -1,49 +1,29 @@
-//! How components listen and publish.
+//! How components listen.
 
-use super::{EventFilter, Publisher, TopicSubscription, Topics};
+use super::{EventFilter, TopicSubscription, Topics};
 use crate::component::cell::ComponentCell;
-use crate::component::context::Context;
 use crate::component::declaration::Declarations;
-use crate::component::environment::ComponentEnvironment;
-use crate::component::extension::Extension;
 use crate::component::ports::Ports;
 use crate::component::spec_error::SpecError;
 use crate::component::subscription::{Subscription, Subscriptions};
 use crate::component::{Component, Handle};
 use blastema_core::port::ConnectionRole;
 use blastema_core::sorted::SortedSet;
-use blastema_core::{DeliveryError, Event, FaultKind, Instant, ObjectName};
-use std::any::TypeId;
+use blastema_core::{DeliveryError, Event, ObjectName};
 use std::borrow::Cow;
 use std::panic::Location;
-use std::rc::Rc;
 use std::sync::Arc;
-
-impl Extension for Topics {}
-
-impl ComponentEnvironment {
-    /// The topics of the node.
-    pub(crate) fn topics(&self) -> &Topics {
-        self.extensions.get()
-    }
-}
 
 type Bind<C> = Box<dyn FnOnce(&Topics) -> Result<Arc<dyn Subscription<C>>, DeliveryError>>;
 
 /// The subscriptions that a component declares, each with its topic and contract.
-struct ListenPorts<C: Component>(Vec<(String, &'static str, Bind<C>)>);
-
-impl<C: Component> Default for ListenPorts<C> {
-    fn default() -> Self {
-        ListenPorts(Vec::new())
-    }
-}
+type ListenPorts<C> = Vec<(String, &'static str, Bind<C>)>;
 
 impl<C: Component> Declarations<C> for ListenPorts<C> {
     fn check(&self, name: &ObjectName, _: &SortedSet<&'static str>) -> Result<(), SpecError> {
         let mut known = SortedSet::new();
         // One topic carries one contract: that is found where they are bound.
-        match self.0.iter().find(|(topic, contract, _)| !known.insert((topic, contract))) {
+        match self.iter().find(|(topic, contract, _)| !known.insert((topic, contract))) {
             Some((topic, ..)) => {
                 Err(SpecError::ListenTwice { name: name.clone(), topic: topic.clone() })
             }
@@ -52,9 +32,9 @@ impl<C: Component> Declarations<C> for ListenPorts<C> {
     }
 
     fn bind(self: Box<Self>, cell: &Arc<ComponentCell<C>>) -> Result<(), SpecError> {
-        let topics = cell.record.environment.topics();
+        let topics = cell.record.environment.feature::<Topics>();
         let bound: Result<Subscriptions<C>, _> =
-            self.0.into_iter().map(|(_, _, bind)| bind(topics)).collect();
+            self.into_iter().map(|(_, _, bind)| bind(topics)).collect();
         let refused = |why| SpecError::Topic { name: cell.record.name.clone(), why };
         cell.set_subscriptions(bound.map_err(refused)?);
         Ok(())
@@ -118,55 +98,6 @@ impl<C: Handle<E>, E: Event> Drop for ListenPort<'_, C, E> {
         self.ports.keep_latched::<E>(&name);
         self.ports.declare::<E>(std::mem::take(&mut self.named), ConnectionRole::Listens);
         let declared = self.ports.feature::<ListenPorts<C>>();
-        declared.0.push((name, E::NAME, Box::new(bind)));
-    }
-}
-
-impl<C: Component> Context<C> {
-    /// Publishes an event on the topic that has its contract's name. Never waits. While the
-    /// component is fenced off or isolated, events are not published but counted among the dead
-    /// letters under the topic's name.
-    #[track_caller]
-    pub fn publish<E: Event>(&self, event: E) {
-        self.publish_stamped(event, None);
-    }
-
-    /// Publishes an event whose data was captured at `captured_at`, such as the exposure of an
-    /// image: `max_age` counts from there, and listeners read it by
-    /// [`captured_at`](Self::captured_at). A time that is still to come counts as now.
-    #[track_caller]
-    pub fn publish_captured_at<E: Event>(&self, event: E, captured_at: Instant) {
-        self.publish_stamped(event, Some(captured_at));
-    }
-
-    #[track_caller]
-    fn publish_stamped<E: Event>(&self, event: E, captured_at: Option<Instant>) {
-        let mut handles = self.handles.borrow_mut();
-        let of_topic = TypeId::of::<Publisher<E>>();
-        let known = handles.iter().find(|(of, port, _)| *of == of_topic && port.is_none());
-        if let Some(publisher) = known.and_then(|(.., any)| any.downcast_ref::<Publisher<E>>()) {
-            publisher.publish_or_count(event, captured_at);
-            return;
-        }
-        match self.publisher::<E>(E::NAME) {
-            Ok(publisher) => {
-                publisher.publish_or_count(event, captured_at);
-                handles.push((of_topic, None, Rc::new(publisher)));
-            }
-            Err(why) => self.declare_fault(FaultKind::ContractMismatch, why.to_string()),
-        }
-    }
-
-    /// Returns a publisher on the topic of this name. It belongs to this incarnation: after the
-    /// incarnation has ended, publishing fails on every thread with [`DeliveryError::Fenced`].
-    ///
-    /// # Errors
-    /// [`DeliveryError::ContractDiffers`] if the topic carries another type under this contract's
-    /// name; the text names both, where each was said, and what differs.
-    #[track_caller]
-    pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, DeliveryError> {
-        let topics = self.cell.record.environment.topics();
-        let publisher = topics.publisher_of(topic, self.name().as_str())?;
-        Ok(publisher.of(self.state.token.clone()))
+        declared.push((name, E::NAME, Box::new(bind)));
     }
 }

@@ -128,7 +128,7 @@ impl<C: Handle<E>, E: Event> Subscription<C> for TopicSubscription<E> {
         environment: &ComponentEnvironment,
         topic: &ObjectName,
     ) -> Result<Arc<dyn Subscription<C>>, DeliveryError> {
-        let topic = environment.extensions.get::<Topics>().topic::<E>(topic.as_str(), self.at)?;
+        let topic = environment.feature::<Topics>().topic::<E>(topic.as_str(), self.at)?;
         Ok(Arc::new(TopicSubscription::new(topic, self.only_if.clone(), self.at)))
     }
 

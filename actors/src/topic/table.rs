@@ -3,7 +3,9 @@
 use super::erased::AnyTopic;
 use super::tap::{TopicTap, TopicTaps};
 use super::traffic::{TopicRow, Traffic};
-use super::{Hubs, InterestObserver, NodeEnd, Publisher, RemoteForward, Topic, TopicKey, lock};
+use super::{
+    Forwards, Hubs, InterestObserver, NodeTopics, Publisher, RemoteForward, Topic, TopicKey, lock,
+};
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::platform;
 use crate::registry::difference;
@@ -85,12 +87,7 @@ struct TopicTable {
 #[derive(Clone)]
 pub(crate) struct Topics {
     inner: Arc<Mutex<TopicTable>>,
-    interest: Arc<Mutex<Option<InterestObserver>>>,
-    dead_letters: DeadLetterLog,
-    reports: FaultReports,
-    /// How often a publisher came or went.
-    publishing: Arc<AtomicU64>,
-    ended: NodeEnd,
+    node: Arc<NodeTopics>,
 }
 
 /// A tap of a topic, which ends when this is dropped.
@@ -111,13 +108,14 @@ impl<E: Event> Drop for Tapped<E> {
 impl Topics {
     pub(crate) fn new(dead_letters: DeadLetterLog, reports: FaultReports) -> Self {
         let (inner, interest, publishing, ended) = Default::default();
-        Topics { inner, interest, dead_letters, reports, publishing, ended }
+        let node = Arc::new(NodeTopics { dead_letters, reports, interest, publishing, ended });
+        Topics { inner, node }
     }
 
     /// This node was shut down: publishers outside of its components get an error.
     pub(crate) fn shut_down(&self, node: &NodeName) {
         // It is reported once.
-        let _ = self.ended.set(node.clone());
+        let _ = self.node.ended.set(node.clone());
     }
 
     /// The topic of this name that carries `E`, as it is said to here. A topic carries one
@@ -145,25 +143,21 @@ impl Topics {
             key: key.clone(),
             id: NEXT.fetch_add(1, Relaxed),
             hubs: Mutex::new(Hubs { list: Arc::new([]), next: 0 }),
-            forwards: Mutex::new(Arc::new([])),
-            is_forwarded: AtomicBool::new(false),
+            forwards: Forwards::default(),
             listeners: AtomicU64::new(0),
             latch: Mutex::default(),
-            traffic: Traffic::new(platform::now(), self.publishing.clone()),
+            traffic: Traffic::new(platform::now(), self.node.clone()),
             taps: TopicTaps::default(),
             matched: watch::Sender::new(0),
-            dead_letters: self.dead_letters.clone(),
-            reports: self.reports.clone(),
+            node: self.node.clone(),
             complained: AtomicBool::new(false),
-            interest: self.interest.clone(),
             former: E::previous_versions(),
-            ended: self.ended.clone(),
         });
         let known = TopicEntry { naming, typed: topic.clone(), erased: topic.clone() };
         inner.topics.insert(key.topic.clone(), known);
         let is_awaited = inner.renew_forwards(&key.topic, None);
         drop(inner);
-        let interest = lock(&self.interest).clone();
+        let interest = lock(&self.node.interest).clone();
         if let Some(interest) = interest.filter(|_| is_awaited) {
             // What other nodes listen to can be compared from now on.
             interest(&key);
@@ -323,7 +317,7 @@ impl Topics {
 
     /// Tells by another number that a publisher came or went.
     pub(crate) fn revision(&self) -> u64 {
-        self.publishing.load(Relaxed)
+        self.node.publishing.load(Relaxed)
     }
 
     /// All topics that have publishers here.
@@ -344,7 +338,7 @@ impl Topics {
 
     /// Calls `interest` from now on.
     pub(crate) fn on_interest(&self, interest: InterestObserver) {
-        *lock(&self.interest) = Some(interest);
+        *lock(&self.node.interest) = Some(interest);
     }
 }
 

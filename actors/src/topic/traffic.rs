@@ -1,6 +1,6 @@
 //! What a topic carries, with its publishers and listeners: for display only.
 
-use super::{TopicKey, lock};
+use super::{NodeTopics, TopicKey, lock};
 use blastema_core::sorted::SortedMap;
 use blastema_core::{Instant, NodeName, ObjectName};
 use serde::Serialize;
@@ -46,8 +46,7 @@ pub(super) struct Traffic {
     bytes: AtomicUsize,
     /// The next event is to be measured.
     unmeasured: AtomicBool,
-    /// How often a publisher of some topic of the node came or went.
-    publishing: Arc<AtomicU64>,
+    node: Arc<NodeTopics>,
     shown: Mutex<Shown>,
 }
 
@@ -72,13 +71,13 @@ fn count<K: Ord>(counts: &mut SortedMap<K, usize>, key: K, more: bool) {
 }
 
 impl Traffic {
-    pub(super) fn new(now: Instant, publishing: Arc<AtomicU64>) -> Self {
+    pub(super) fn new(now: Instant, node: Arc<NodeTopics>) -> Self {
         Traffic {
             events: AtomicU64::new(0),
             lost: AtomicU64::new(0),
             bytes: AtomicUsize::new(0),
             unmeasured: AtomicBool::new(true),
-            publishing,
+            node,
             shown: Mutex::new(Shown {
                 publishers: SortedMap::new(),
                 listeners: SortedMap::new(),
@@ -120,7 +119,7 @@ impl Traffic {
     /// One publisher more or less.
     pub(super) fn publishes(&self, by: &str, more: bool) {
         count(&mut lock(&self.shown).publishers, by.into(), more);
-        self.publishing.fetch_add(1, Relaxed);
+        self.node.publishing.fetch_add(1, Relaxed);
     }
 
     pub(super) fn has_publishers(&self) -> bool {

@@ -7,7 +7,6 @@ use super::rows::{TreeTable, TreeView};
 use super::shared::{RunningTask, TaskFault, TreeShared};
 use super::task::{LeafTask, MakeTask};
 use crate::component::context::Context;
-use crate::component::environment::ComponentEnvironment;
 use crate::component::incarnation::TimerId;
 use crate::component::{Component, Failure};
 use crate::host::spec::ChildSpec;
@@ -408,7 +407,9 @@ impl BehaviorTree {
 
     /// Follows the record of faults, where a condition of the tree looks at it.
     fn follow_faults(&self, host: Arc<TreeHost>, cx: &mut Context<Self>) {
-        let Some(record) = host.environment.trees().record.get().cloned() else { return };
+        let Some(record) = host.environment.feature::<TreeTable>().record.get().cloned() else {
+            return;
+        };
         let (shared, state) = (self.shared.clone(), cx.state.clone());
         cx.spawn(async move {
             while let Ok(record) = record.send(ReadRecord).await {
@@ -439,7 +440,7 @@ impl Component for BehaviorTree {
         }
         let looks_at_faults = tree.nodes().any(|node| node.type_name == FAULT_CONDITION);
         self.shared.tree.replace(tree);
-        let before = host.environment.trees().show(cx.name().clone(), view.clone());
+        let before = host.environment.feature::<TreeTable>().show(cx.name().clone(), view.clone());
         let called = before.as_ref().and_then(|view| view.called());
         let called = called.and_then(|path| self.shared.tree.borrow().find(&path));
         if let Some(node) = called {
@@ -487,7 +488,7 @@ impl Component for BehaviorTree {
     }
 
     async fn on_finalize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        cx.cell.record.environment.trees().forget(cx.name());
+        cx.cell.record.environment.feature::<TreeTable>().forget(cx.name());
         Ok(())
     }
 }
@@ -496,13 +497,6 @@ impl Drop for BehaviorTree {
     fn drop(&mut self) {
         // The futures hold what holds them.
         drop(self.shared.tasks.take());
-    }
-}
-
-impl ComponentEnvironment {
-    /// The trees of the node.
-    pub(crate) fn trees(&self) -> &TreeTable {
-        self.extensions.get()
     }
 }
 

@@ -1,6 +1,7 @@
 //! What the conditions of a tree look at beside their ports.
 
 use crate::component::environment::ComponentEnvironment;
+use crate::condition::Conditions;
 use crate::condition::{Condition, ConditionUse, Connected};
 use crate::platform::{self, lock};
 use blastema_core::FaultLocation;
@@ -45,7 +46,7 @@ impl TreeHost {
         {
             return Ok(condition.clone());
         }
-        let conditions = host.environment.conditions();
+        let conditions = host.environment.feature::<Conditions>();
         let condition = conditions.declare(name, &needs(), platform::now(), Some(1))?;
         known.insert(place, ConditionUse(conditions.clone(), condition.clone()));
         lock(&host.fresh).push(condition.clone());

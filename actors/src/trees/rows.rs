@@ -1,6 +1,5 @@
 //! The trees of a node as monitors show them.
 
-use crate::component::extension::Extension;
 use crate::platform::{self, lock};
 use actix::Recipient;
 use blastema_contract::detector::ReadRecord;
@@ -52,8 +51,6 @@ pub(crate) struct TreeTable {
     /// Where the record of faults is read; set once, when the node is assembled.
     pub(crate) record: Arc<OnceLock<Recipient<ReadRecord>>>,
 }
-
-impl Extension for TreeTable {}
 
 impl TreeTable {
     fn lock(&self) -> MutexGuard<'_, BTreeMap<ObjectName, Arc<TreeView>>> {

@@ -15,16 +15,14 @@ mod store;
 
 pub use blastema_core::variables::{RestorePolicy, ValueState};
 
-pub(crate) use store::{DeclaredVariable, VariableStore, declared};
+pub(crate) use store::{DeclaredVariable, KEPT_VARIABLES, VariableStore, declared};
 
 use crate::messaging::sender::Sender;
 use crate::registry::Registry;
 use crate::registry::encoding::encoded;
 use access::{VariableAnswer, VariableRequest, VariableSelector, WATCH_WITHIN, WriteEntry};
 use blastema_core::contract::codec;
-use blastema_core::{
-    ContractIdentity, DeliveryError, NodeName, ObjectAddress, ObjectName, Variable,
-};
+use blastema_core::{ContractIdentity, DeliveryError, NodeName, ObjectName, Variable};
 use blastema_macros::Structure;
 use std::fmt;
 use std::marker::PhantomData;
@@ -135,15 +133,9 @@ pub(crate) fn find<V: Variable>(
     registry: &Registry,
     name: &str,
 ) -> Result<VariableRef<V>, DeliveryError> {
-    let unknown = |_| DeliveryError::Unknown { name: name.to_owned() };
     let sender = registry.sender::<VariableRequest>(name).map_err(none_at_all::<V>)?;
-    let (node, object) = match name.contains(':') {
-        true => {
-            let ObjectAddress { node, object } = name.parse().map_err(unknown)?;
-            (registry.elsewhere(node), object)
-        }
-        false => (None, ObjectName::new(name).map_err(unknown)?),
-    };
+    let unknown = |_| DeliveryError::Unknown { name: name.to_owned() };
+    let (node, object) = registry.parse(name).map_err(unknown)?;
     Ok(VariableRef { sender, node, object, value: PhantomData })
 }
 
@@ -162,9 +154,7 @@ impl<V: Variable> VariableRef<V> {
 
     async fn ask_for_value(&self, access: VariableRequest) -> Result<Reading<V>, DeliveryError> {
         let VariableAnswer { value, revision, state, age } = self.ask(access).await?;
-        let value = codec::decode::<V>(&value)
-            .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })?;
-        Ok(Reading { value, revision, state, age })
+        Ok(Reading { value: codec::decode::<V>(&value)?, revision, state, age })
     }
 
     /// Returns the value.

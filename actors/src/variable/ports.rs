@@ -1,36 +1,15 @@
-//! How components own and reach variables.
+//! How components own variables.
 
+use super::VariableSpec;
 use super::store::{DeclaredVariable, VariableStore};
-use super::{VariableRef, VariableSpec, find};
 use crate::component::Component;
 use crate::component::cell::ComponentCell;
-use crate::component::context::Context;
 use crate::component::declaration::{CellListener, Declarations};
-use crate::component::environment::ComponentEnvironment;
-use crate::component::extension::Extension;
 use crate::component::ports::Ports;
 use crate::component::spec_error::SpecError;
 use blastema_core::sorted::SortedSet;
-use blastema_core::{DeliveryError, ObjectName, Variable};
+use blastema_core::{ObjectName, Variable};
 use std::sync::Arc;
-
-impl Extension for VariableStore {}
-
-impl ComponentEnvironment {
-    /// The variables of the node.
-    pub(crate) fn variables(&self) -> &VariableStore {
-        self.extensions.get()
-    }
-
-    /// Reports what the variables' file complains of.
-    pub(crate) fn declare_complaints(&self) {
-        let complaints = self.variables().complaints();
-        complaints.into_iter().for_each(|detail| self.reports.declare(KEPT_VARIABLES, detail));
-    }
-}
-
-/// Under which name the file of the variables is an object of its node.
-pub(crate) const KEPT_VARIABLES: &str = "variables";
 
 /// Makes a variable once its component is registered.
 type DeclareLater<C> =
@@ -55,13 +34,17 @@ impl<C: Component> VariablePorts<C> {
     }
 }
 
-/// Withdraws the variables of a component with it.
+/// Applies the policies of a component's variables, and withdraws them with it.
 struct Withdrawal {
     store: VariableStore,
     owner: ObjectName,
 }
 
 impl CellListener for Withdrawal {
+    fn ended(&self) {
+        self.store.end_incarnation(&self.owner);
+    }
+
     fn removed(&self) {
         self.store.withdraw(&self.owner);
     }
@@ -89,7 +72,7 @@ impl<C: Component> Declarations<C> for VariablePorts<C> {
             declared.push(declare(cell)?);
         }
         let (name, environment) = (&cell.record.name, &cell.record.environment);
-        let store = environment.variables();
+        let store = environment.feature::<VariableStore>();
         cell.record.listen(Withdrawal { store: store.clone(), owner: name.clone() });
         let owner = cell.clone();
         let isolated = move || owner.record.is_isolated();
@@ -97,7 +80,6 @@ impl<C: Component> Declarations<C> for VariablePorts<C> {
         let rights = environment.registry.access();
         let port = store.declare(name, declared, isolated, rights).map_err(refused)?;
         environment.registry.open(name, port);
-        store.watch_owner(name, &environment.registry);
         Ok(())
     }
 }
@@ -108,17 +90,5 @@ impl<C: Component> Ports<C> {
     pub fn variable<V: Variable>(&mut self, spec: VariableSpec<V>) -> &mut Self {
         self.feature::<VariablePorts<C>>().declared.push(spec.declared());
         self
-    }
-}
-
-impl<C: Component> Context<C> {
-    /// The variable `V` of the object of this name, the component's own or another's, here or on
-    /// another node.
-    ///
-    /// # Errors
-    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name,
-    /// [`DeliveryError::NoVariable`] where it owns no variables.
-    pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, DeliveryError> {
-        find(&self.cell.record.environment.registry, object)
     }
 }

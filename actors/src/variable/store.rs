@@ -3,16 +3,16 @@
 use super::RestoreDecision;
 use super::access::{VariableAnswer, VariableRequest, VariableSelector, WriteEntry};
 use super::kept_file::{self, LoadError, PersistenceFile, WriteDone};
-use crate::messaging::death_watch::{DownReason, Watcher};
-use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::reply::Responder;
 use crate::platform::file_lock::FileLock;
 use crate::platform::{self, lock, panics};
-use crate::registry::access::{AccessControl, AccessWish, MessageOrigin};
+use crate::registry::ContractPort;
+use crate::registry::access::{AccessControl, MessageOrigin};
 use crate::registry::encoding::{RequestRefusal, encoded, named_contract};
 use crate::registry::service_fn::ServiceFn;
-use crate::registry::{ContractPort, Registry};
+use crate::runtime::reports::FaultReports;
 use blastema_core::contract::codec;
+use blastema_core::net::trust::policy::Verb;
 use blastema_core::sorted::SortedMap;
 use blastema_core::variables::{
     PersistedValue, RestorePolicy, ValueState, ValueWrite, VariableDeclaration, VariableKey,
@@ -24,6 +24,9 @@ use std::io;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
+
+/// Under which name the file of the variables is an object of its node.
+pub(crate) const KEPT_VARIABLES: &str = "variables";
 
 /// Says whether bytes are a value that the owner takes.
 type Check = Arc<dyn Fn(&[u8]) -> Result<(), DeliveryError> + Send + Sync>;
@@ -53,8 +56,7 @@ pub(crate) fn declared<V: Variable>(
     observer: Option<ValueObserver>,
 ) -> DeclaredVariable {
     let check = move |bytes: &[u8]| {
-        let value = codec::decode::<V>(bytes)
-            .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })?;
+        let value = codec::decode::<V>(bytes)?;
         let checked = panics::caught(|| check(&value)).map_err(|why| format!("it {why}"));
         checked.flatten().map_err(|reason| DeliveryError::CheckFailed { reason })
     };
@@ -125,18 +127,18 @@ fn may(
     from: MessageOrigin,
     access: &VariableRequest,
 ) -> Result<(), DeliveryError> {
-    let check = |wish, VariableSelector { object, identity }: &VariableSelector| {
-        rights.check(from, wish, object, || {
+    let check = |verb, VariableSelector { object, identity }: &VariableSelector| {
+        rights.check(from, verb, object, || {
             // What cannot be read is refused as such when it is served.
             PeerIdentity::decode(identity).map_or_else(|_| String::new(), |identity| identity.name)
         })
     };
     match access {
         VariableRequest::Read { variable } | VariableRequest::Watch { variable, .. } => {
-            check(AccessWish::Read, variable)
+            check(Verb::Read, variable)
         }
         VariableRequest::Write { writes, .. } => {
-            writes.iter().try_for_each(|write| check(AccessWish::Write, &write.variable))
+            writes.iter().try_for_each(|write| check(Verb::Set, &write.variable))
         }
     }
 }
@@ -199,9 +201,10 @@ impl VariableStore {
         self.lock().file.iter().for_each(PersistenceFile::close);
     }
 
-    /// What was wrong with the values that were to be restored.
-    pub(crate) fn complaints(&self) -> Vec<String> {
-        std::mem::take(&mut self.lock().complaints)
+    /// Reports what was wrong with the values that were to be restored.
+    pub(crate) fn report_complaints(&self, reports: &FaultReports) {
+        let complaints = std::mem::take(&mut self.lock().complaints);
+        complaints.into_iter().for_each(|detail| reports.declare(KEPT_VARIABLES, detail));
     }
 
     /// The object has these variables from now on; the port is where they are asked for.
@@ -237,21 +240,11 @@ impl VariableStore {
         Ok(ContractPort::of_service_fn(ServiceFn::<VariableRequest>(Arc::new(serve))))
     }
 
-    /// Applies the policies whenever an incarnation of the object ends.
-    pub(crate) fn watch_owner(&self, object: &ObjectName, registry: &Registry) {
-        let (store, of) = (self.clone(), object.clone());
-        let tell = move |down: crate::messaging::death_watch::Down| {
-            if !matches!(down.ending, DownReason::NotAlive | DownReason::Unknown) {
-                let mut inner = store.lock();
-                inner.machine.handle_owner_ended(&of, platform::now());
-                tell_watchers(inner);
-            }
-        };
-        let who = ObjectName::new("blastema/variables").expect("a name of letters");
-        let incarnation = Arc::new(IncarnationToken::default());
-        let tell = Box::new(tell);
-        let watcher = Watcher { who, incarnation, outlasts_object: false, tell };
-        registry.watch(object.clone(), watcher);
+    /// An incarnation of the object has ended: applies the policies.
+    pub(crate) fn end_incarnation(&self, object: &ObjectName) {
+        let mut inner = self.lock();
+        inner.machine.handle_owner_ended(object, platform::now());
+        tell_watchers(inner);
     }
 
     /// The object is gone.

@@ -10,10 +10,10 @@
 //! followed to a depth of [`DEPTH_LIMIT`](crate::contract::field::DEPTH_LIMIT).
 #![expect(clippy::disallowed_methods, reason = "the one file that knows bincode")]
 
-use crate::Contract;
 use crate::contract::blob::{given, sharing};
 use crate::contract::gather_buffer::GatherBuffer;
 use crate::contract::layout::{Described, LayoutOf};
+use crate::{Contract, DeliveryError};
 use bincode::config::{self, Config};
 use bincode::enc::EncoderImpl;
 use bincode::enc::write::Writer;
@@ -71,6 +71,12 @@ pub enum DecodeError {
         /// What the codec said.
         reason: String,
     },
+}
+
+impl From<DecodeError> for DeliveryError {
+    fn from(error: DecodeError) -> Self {
+        DeliveryError::Undecodable { reason: error.to_string() }
+    }
 }
 
 /// Encodes a message at the end of `buffer`. Reuse the buffer: a fresh one costs more than the

@@ -2,7 +2,7 @@
 
 use super::{
     ConfirmedQueueOutput, Detector, DetectorOutput, FaultNotice, FaultTransition, Monitor,
-    MonitorLimits, Notifier, NotifierLimits, RecovererPort, RecoveryOutcome,
+    Notifier, RecovererPort, RecoveryOutcome,
 };
 use crate::{Fault, Instant, Machine, NodeName};
 
@@ -41,9 +41,9 @@ impl DetectionChain {
     /// The chain of `node`, with an empty table, an empty record and no recoverer.
     pub fn new(node: NodeName) -> Self {
         DetectionChain {
-            monitor: Monitor::new(node.clone(), MonitorLimits::default()),
+            monitor: Monitor::new(node.clone()),
             detector: Detector::new(node),
-            notifier: Notifier::new(NotifierLimits::default()),
+            notifier: Notifier::default(),
         }
     }
 

@@ -49,20 +49,19 @@ pub struct ConfirmedQueueLimits {
     pub per_second: u32,
 }
 
-impl Default for ConfirmedQueueLimits {
-    fn default() -> Self {
-        ConfirmedQueueLimits {
-            // Every one of a thousand objects may have something to tell at the same moment.
-            capacity: 1024,
-            // Both ends share an arbiter that turns in well under a millisecond.
-            timeout: Duration::from_millis(100),
-            longest: Duration::from_secs(1),
-            // Five seconds in all: a receiver that a guardian has not brought back by then is gone.
-            tries: 8,
-            // Far above what a robot in order has to tell, far below what an arbiter can take.
-            per_second: 10_000,
-        }
-    }
+impl ConfirmedQueueLimits {
+    /// Those of two ends on one arbiter.
+    pub const DEFAULT: Self = ConfirmedQueueLimits {
+        // Every one of a thousand objects may have something to tell at the same moment.
+        capacity: 1024,
+        // Both ends share an arbiter that turns in well under a millisecond.
+        timeout: Duration::from_millis(100),
+        longest: Duration::from_secs(1),
+        // Five seconds in all: a receiver that a guardian has not brought back by then is gone.
+        tries: 8,
+        // Far above what a robot in order has to tell, far below what an arbiter can take.
+        per_second: 10_000,
+    };
 }
 
 /// An output of a [`ConfirmedQueue`].

@@ -47,8 +47,8 @@ pub use checks::{CheckFailed, Freshness, Invariant, Range, Rate};
 pub use confirmed_queue::{ConfirmedQueue, ConfirmedQueueLimits, ConfirmedQueueOutput};
 pub use detector::{Detector, DetectorOutput, FAULTS_ON_RECORD};
 pub use fault_log::FaultLog;
-pub use monitor::{Monitor, MonitorLimits};
-pub use notifier::{Notifier, NotifierLimits, RecovererPort};
+pub use monitor::{MONITOR_ROWS_MAX, Monitor};
+pub use notifier::{LOCAL_HANDOVER, Notifier, REMOTE_HANDOVER, RecovererPort};
 pub use observation::{
     ExitReason, Finding, LinkCondition, NodeCondition, Observation, OverloadFigures, WorkProgress,
 };

@@ -26,7 +26,7 @@ use std::time::Duration;
 #[derive(Clone, Debug)]
 pub struct Monitor {
     node: NodeName,
-    limits: MonitorLimits,
+    rows_max: usize,
     objects: SortedMap<ObjectName, MonitoredObject>,
     peers: PeerTable,
     outputs: VecDeque<Observation>,
@@ -43,26 +43,16 @@ struct Hold {
     due: Instant,
 }
 
-/// The bounds of a [`Monitor`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct MonitorLimits {
-    /// How many rows the table may have. A row takes some hundred bytes.
-    pub rows: usize,
-}
-
-impl Default for MonitorLimits {
-    fn default() -> Self {
-        // A hundred thousand components are measured; a robot has hundreds.
-        MonitorLimits { rows: 128 * 1024 }
-    }
-}
+/// How many rows the table of a [`Monitor`] may have: a hundred thousand components are measured,
+/// and a robot has hundreds. A row takes some hundred bytes.
+pub const MONITOR_ROWS_MAX: usize = 128 * 1024;
 
 impl Monitor {
     /// A monitor of `node` with an empty table.
-    pub fn new(node: NodeName, limits: MonitorLimits) -> Self {
+    pub fn new(node: NodeName) -> Self {
         Monitor {
             node,
-            limits,
+            rows_max: MONITOR_ROWS_MAX,
             objects: SortedMap::new(),
             peers: PeerTable::default(),
             outputs: VecDeque::new(),
@@ -82,7 +72,7 @@ impl Monitor {
     ) -> Result<(), RegistrationError> {
         let Registration { object, kind, incarnation, depends_on, may_end } = registration;
         if self.is_full() && !self.objects.contains_key(&object) {
-            return Err(RegistrationError::TableFull { object, limit: self.limits.rows });
+            return Err(RegistrationError::TableFull { object, limit: self.rows_max });
         }
         let fresh = || MonitoredObject::new(kind, incarnation);
         let entry = self.objects.entry(object.clone()).or_insert_with(fresh);
@@ -334,7 +324,7 @@ impl Monitor {
     }
 
     fn is_full(&self) -> bool {
-        self.objects.len() + self.peers.len() >= self.limits.rows
+        self.objects.len() + self.peers.len() >= self.rows_max
     }
 
     /// The entry of an object for news of this incarnation; none if that incarnation is over.

@@ -11,42 +11,30 @@ use std::time::Duration;
 /// Each port has a queue of its own, so that a recoverer that cannot be reached does not delay the
 /// others. In a queue, ends of faults go first, then critical faults, errors, warnings. A fault is
 /// never twice in a queue; one that has ended before its turn is taken out again.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Notifier {
-    limits: NotifierLimits,
     ports: SortedMap<RecovererPort, ConfirmedQueue<FaultNotice>>,
 }
 
-/// The bounds of a [`Notifier`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct NotifierLimits {
-    /// How many ports there may be.
-    pub ports: usize,
-    /// The hand-over to the local recoverer.
-    pub local: ConfirmedQueueLimits,
-    /// The hand-over to another node's recoverer.
-    pub remote: ConfirmedQueueLimits,
-}
+/// How many ports a [`Notifier`] may have: a robot of more than thirty nodes informs the others
+/// over its fleet.
+const PORTS_MAX: usize = 32;
 
-impl Default for NotifierLimits {
-    fn default() -> Self {
-        let remote = ConfirmedQueueLimits {
-            // A round trip over two hops and a change of path takes less.
-            timeout: Duration::from_millis(250),
-            longest: Duration::from_secs(2),
-            // Faults that another node's recoverer cannot keep up with do not help it, and the
-            // network has other things to carry.
-            per_second: 50,
-            capacity: 256,
-            ..ConfirmedQueueLimits::default()
-        };
-        // A recoverer takes in a fault in microseconds; a robot on which two hundred things break
-        // each second is better served by the most important ones.
-        let local = ConfirmedQueueLimits { per_second: 200, ..ConfirmedQueueLimits::default() };
-        // A robot of more than thirty nodes informs the others over its fleet.
-        NotifierLimits { ports: 32, local, remote }
-    }
-}
+/// The hand-over to the local recoverer, which takes in a fault in microseconds. A robot on which
+/// two hundred things break each second is better served by the most important ones.
+pub const LOCAL_HANDOVER: ConfirmedQueueLimits =
+    ConfirmedQueueLimits { per_second: 200, ..ConfirmedQueueLimits::DEFAULT };
+
+/// The hand-over to another node's recoverer. Faults that it cannot keep up with do not help it,
+/// and the network has other things to carry. A round trip over two hops and a change of path takes
+/// less than the timeout.
+pub const REMOTE_HANDOVER: ConfirmedQueueLimits = ConfirmedQueueLimits {
+    timeout: Duration::from_millis(250),
+    longest: Duration::from_secs(2),
+    per_second: 50,
+    capacity: 256,
+    ..ConfirmedQueueLimits::DEFAULT
+};
 
 /// The recoverer that is notified.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -67,19 +55,14 @@ impl fmt::Display for RecovererPort {
 }
 
 impl Notifier {
-    /// A notifier without ports.
-    pub fn new(limits: NotifierLimits) -> Self {
-        Notifier { limits, ports: SortedMap::new() }
-    }
-
     /// Opens a port; no, if there are too many. A port that is open stays as it is.
     pub fn add_port(&mut self, port: RecovererPort, now: Instant) -> bool {
-        if self.ports.len() >= self.limits.ports && !self.ports.contains_key(&port) {
+        if self.ports.len() >= PORTS_MAX && !self.ports.contains_key(&port) {
             return false;
         }
         let limits = match port {
-            RecovererPort::Local => self.limits.local,
-            RecovererPort::Remote(_) => self.limits.remote,
+            RecovererPort::Local => LOCAL_HANDOVER,
+            RecovererPort::Remote(_) => REMOTE_HANDOVER,
         };
         self.ports.entry(port).or_insert_with(|| ConfirmedQueue::new(limits, now.as_nanos()));
         true
@@ -117,7 +100,7 @@ impl Notifier {
     pub fn restarted(self, now: Instant) -> Self {
         let ports = self.ports.into_iter();
         let ports = ports.map(|(port, queue)| (port, queue.restarted(now))).collect();
-        Notifier { ports, ..self }
+        Notifier { ports }
     }
 }
 
@@ -176,7 +159,7 @@ mod tests {
     }
 
     fn notifier(ports: &[RecovererPort]) -> Notifier {
-        let mut notifier = Notifier::new(NotifierLimits::default());
+        let mut notifier = Notifier::default();
         for port in ports {
             assert!(notifier.add_port(port.clone(), at(0)));
         }
@@ -284,34 +267,37 @@ mod tests {
 
     #[test]
     fn a_storm_is_held_back_to_so_many_a_second_with_the_critical_ones_first() {
-        let local = ConfirmedQueueLimits { per_second: 3, ..ConfirmedQueueLimits::default() };
-        let mut notifier = Notifier::new(NotifierLimits { local, ..NotifierLimits::default() });
-        notifier.add_port(RecovererPort::Local, at(0));
-        for id in 1..=8 {
-            let kind = if id == 8 { FaultKind::Fatal } else { FaultKind::Panic };
+        let mut notifier = notifier(&[remote()]);
+        for id in 1..=108 {
+            let kind = if id == 108 { FaultKind::Fatal } else { FaultKind::Panic };
             notifier.handle_notice(fault(id, kind), at(0));
         }
+        let range = |ids: std::ops::RangeInclusive<u64>| ids.map(|id| format!("n +{id}"));
 
-        assert_eq!(handed(&mut notifier, true, at(0)), ["here +1", "here +8", "here +2"]);
+        let first: Vec<String> =
+            range(1..=1).chain(range(108..=108)).chain(range(2..=49)).collect();
+        assert_eq!(handed(&mut notifier, true, at(0)), first);
         assert_eq!(notifier.poll_timeout(), Some(at(1000)));
         notifier.handle_timeout(at(1000));
-        assert_eq!(handed(&mut notifier, true, at(1000)), ["here +3", "here +4", "here +5"]);
+        assert_eq!(handed(&mut notifier, true, at(1000)), range(50..=99).collect::<Vec<_>>());
         notifier.handle_timeout(at(2000));
-        assert_eq!(handed(&mut notifier, true, at(2000)), ["here +6", "here +7"]);
+        assert_eq!(handed(&mut notifier, true, at(2000)), range(100..=107).collect::<Vec<_>>());
         assert_eq!(notifier.poll_timeout(), None, "nothing waits, and none was given up");
     }
 
     #[test]
     fn too_many_ports_are_refused_and_a_known_one_keeps_what_waits() {
-        let limits = NotifierLimits { ports: 1, ..NotifierLimits::default() };
-        let mut notifier = Notifier::new(limits);
-        assert!(notifier.add_port(RecovererPort::Local, at(0)));
+        let mut notifier = notifier(&[RecovererPort::Local]);
+        for other in 2..=PORTS_MAX {
+            let port = RecovererPort::Remote(node(&format!("n{other}")));
+            assert!(notifier.add_port(port, at(0)));
+        }
         notifier.handle_notice(fault(1, FaultKind::Panic), at(0));
 
         assert!(!notifier.add_port(remote(), at(0)));
         assert!(notifier.add_port(RecovererPort::Local, at(0)));
 
-        assert_eq!(handed(&mut notifier, true, at(0)), ["here +1"]);
+        assert_eq!(handed(&mut notifier, true, at(0))[..2], ["here +1", "n10 +1"]);
     }
 
     #[test]

@@ -148,7 +148,7 @@ impl Replica {
             state_refused: false,
         };
         let reports = ReplicaReports {
-            role: Role::Standby { primary: None, in_step: false },
+            role: Role::default(),
             faults: SortedMap::new(),
             outputs: VecDeque::new(),
         };
@@ -223,7 +223,7 @@ impl Replica {
             // The request was delayed, and its caller has a reply by another path.
             return self.answer(caller, ServiceOutcome::Refused(DeliveryError::Expired));
         }
-        let served = self.log.table.find(id).cloned();
+        let served = self.log.table.find(id).is_some();
         let primary = match &mut self.role {
             RoleState::Standby(standby) => {
                 let elsewhere = ServiceOutcome::Elsewhere(standby.primary.clone());
@@ -236,19 +236,15 @@ impl Replica {
             let before = std::mem::replace(waiting, caller);
             return self.answer(before, ServiceOutcome::Elsewhere(None));
         }
-        match served {
-            Some(served) => {
-                self.log.answered = self.log.answered.max(primary.released);
-                self.answer(caller, ServiceOutcome::Served(served.result));
-            }
-            None if primary.waiting.len() >= QUEUE_MAX => {
-                self.answer(caller, ServiceOutcome::Refused(DeliveryError::Full));
-            }
-            None => {
-                primary.waiting.insert(id, caller);
-                self.component.jobs.push_back(Job::Serve { id, settled, until, request });
-                self.start_next_job();
-            }
+        if served {
+            primary.hold_repeat(id, caller, now);
+            self.release(now);
+        } else if primary.waiting.len() >= QUEUE_MAX {
+            self.answer(caller, ServiceOutcome::Refused(DeliveryError::Full));
+        } else {
+            primary.waiting.insert(id, caller);
+            self.component.jobs.push_back(Job::Serve { id, settled, until, request });
+            self.start_next_job();
         }
     }
 
@@ -415,6 +411,7 @@ impl Replica {
         };
         ServiceView {
             state: self.state_shown(),
+            role: self.role(),
             epoch: self.epoch,
             primary,
             unreachable: self.config.members.iter().filter(unreachable).cloned().collect(),

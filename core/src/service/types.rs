@@ -24,6 +24,13 @@ pub enum Role {
     },
 }
 
+impl Default for Role {
+    /// A replica at its start.
+    fn default() -> Self {
+        Role::Standby { primary: None, in_step: false }
+    }
+}
+
 /// A caller's request to a service.
 #[derive(Clone, Debug)]
 pub struct ServiceRequest {

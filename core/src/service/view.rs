@@ -1,10 +1,11 @@
 //! A replica's view of its service, for display.
 
+use super::types::Role;
 use crate::NodeName;
 use std::fmt;
 
 /// The state of a node as a member of a service that it carries.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ServiceState {
     /// It serves the callers of the service.
@@ -14,6 +15,7 @@ pub enum ServiceState {
     /// It knows of a primary, and does not have its state, or not yet.
     Behind,
     /// It knows of no node that serves. It votes, and stands for election when it is its turn.
+    #[default]
     Candidate,
     /// It knows of no node that serves, and stands for no election: nodes have different
     /// configurations of the service.
@@ -36,10 +38,12 @@ impl fmt::Display for ServiceState {
 }
 
 /// What a replica knows of its service at one moment.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ServiceView {
     /// The state of the replica's own node.
     pub state: ServiceState,
+    /// Its role.
+    pub role: Role,
     /// The greatest epoch that had a primary, or in which the replica voted; 0 if there was none.
     pub epoch: u64,
     /// The node that serves, if one is known.

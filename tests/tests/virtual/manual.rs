@@ -3,7 +3,9 @@
 use blastema::core::contract::codec::SIZE_LIMIT;
 use blastema::core::delivery::dead_letters::KINDS_MAX;
 use blastema::core::delivery::quarantine::QuarantineConfig;
-use blastema::core::detection::{FAULTS_ON_RECORD, MonitorLimits, NotifierLimits};
+use blastema::core::detection::{
+    FAULTS_ON_RECORD, LOCAL_HANDOVER, MONITOR_ROWS_MAX, REMOTE_HANDOVER,
+};
 use blastema::core::net::{RouterConfig, SessionConfig};
 use blastema::core::recovery::{CASES_MAX, LadderStep, SupervisorRules};
 use blastema::core::service::MEMBERS_MAX;
@@ -62,7 +64,7 @@ fn the_limits_are_those_of_the_code() {
     let incarnation = Incarnation::FIRST;
     let session = SessionConfig::new(node(), incarnation, node());
     let router = RouterConfig::new(node(), incarnation);
-    let (rules, notifier) = (SupervisorRules::default(), NotifierLimits::default());
+    let rules = SupervisorRules::default();
 
     check(&page, "wait for a reply", format!("{} s", DEFAULT_DEADLINE.as_secs()));
     check(
@@ -75,9 +77,9 @@ fn the_limits_are_those_of_the_code() {
     let mebibytes = |bytes: usize| format!("{} MiB", bytes >> 20);
     check(&page, "bytes of one message in a session", mebibytes(session.message_max));
     assert!(page.contains(&format!("`max_size`, up to {}", mebibytes(SIZE_LIMIT))));
-    check(&page, "rows of the monitor's table", thousands(MonitorLimits::default().rows));
+    check(&page, "rows of the monitor's table", thousands(MONITOR_ROWS_MAX));
     check(&page, "faults on record", FAULTS_ON_RECORD.to_string());
-    let (local, remote) = (notifier.local.per_second, notifier.remote.per_second);
+    let (local, remote) = (LOCAL_HANDOVER.per_second, REMOTE_HANDOVER.per_second);
     check(&page, "faults handed to the recoverer", format!("{local} a second, {remote} to other"));
     check(&page, "locations that are treated at one time", CASES_MAX.to_string());
     check(&page, "dead letters", format!("{KINDS_MAX} counts"));

@@ -1,7 +1,7 @@
 //! The actor around a strategy.
 
 use super::{RecoveryStrategy, StrategyContext};
-use crate::platform::panics::{self, PanicRecord};
+use crate::platform::panics;
 use crate::runtime::callbacks::{Callbacks, RunningCall};
 use crate::runtime::pending_answer::PendingAnswer;
 use actix::prelude::*;
@@ -9,7 +9,6 @@ use blastema_contract::strategy::ExecuteAction;
 use blastema_core::ObjectName;
 use blastema_core::recovery::{RecoveryDone, RecoveryFailed};
 use std::future::{Future, poll_fn};
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::pin::pin;
 use std::rc::Rc;
 use std::sync::Arc;
@@ -69,17 +68,13 @@ impl<S: RecoveryStrategy> StrategyHost<S> {
             return Ok(strategy.clone());
         }
         let call = self.thread.as_ref().and_then(|thread| thread.enter(order));
-        let made = {
-            let _guarded = panics::PanicGuard::enter();
-            catch_unwind(AssertUnwindSafe(|| (self.make)()))
-        };
+        let made = panics::caught(|| (self.make)());
         if let (Some(thread), Some(false)) = (&self.thread, call.map(RunningCall::end)) {
             thread.end_late();
         }
-        let strategy = made.map(Rc::new).map_err(|payload| {
-            let PanicRecord { text, at } = panics::read(payload);
-            RecoveryFailed::from(format!("making the strategy panicked at {at}: {text}"))
-        })?;
+        let strategy = made
+            .map(Rc::new)
+            .map_err(|panicked| RecoveryFailed::from(format!("making the strategy {panicked}")))?;
         Ok(self.strategy.insert(strategy).clone())
     }
 }
@@ -117,20 +112,14 @@ async fn guarded(
     let mut work = pin!(work);
     poll_fn(move |cx| {
         let call = thread.as_ref().and_then(|thread| thread.enter(order));
-        let polled = {
-            let _guarded = panics::PanicGuard::enter();
-            catch_unwind(AssertUnwindSafe(|| work.as_mut().poll(cx)))
-        };
+        let polled = panics::caught(|| work.as_mut().poll(cx));
         if let (Some(thread), Some(false)) = (&thread, call.map(RunningCall::end)) {
             // Its order was given to a successor, or has failed: nothing more is done about it
             // here.
             thread.end_late();
             return Poll::Pending;
         }
-        polled.unwrap_or_else(|payload| {
-            let PanicRecord { text, at } = panics::read(payload);
-            Err(format!("the strategy panicked at {at}: {text}").into()).into()
-        })
+        polled.unwrap_or_else(|panicked| Err(format!("the strategy {panicked}").into()).into())
     })
     .await
 }

@@ -77,31 +77,28 @@ impl SafeOutputs {
             &ObjectName::new(SAFE_OUTPUTS).expect("this name is well formed"),
             move || apply(&fault),
             move |outcome| {
-                let applied = match outcome {
-                    CallOutcome::Done => Ok(()),
-                    // The safe state is entered all the same: components that stop do less harm
-                    // than components that go on.
-                    CallOutcome::Panicked(text) => {
-                        reports.declare(SAFE_OUTPUTS, format!("the safe outputs panicked: {text}"));
-                        Err("the safe outputs panicked, and may be applied in part")
-                    }
-                    CallOutcome::Blocked(limit) => {
-                        reports.declare(
-                            SAFE_OUTPUTS,
-                            format!("the safe outputs have blocked their thread for {limit:?}"),
-                        );
-                        Err(NOT_RETURNED)
-                    }
-                    CallOutcome::NotMade => {
-                        let detail = "the safe outputs were not called: too many calls block";
-                        reports.declare(SAFE_OUTPUTS, detail.into());
-                        Err("the safe outputs were not called")
-                    }
+                // The safe state is entered all the same: components that stop do less harm than
+                // components that go on.
+                let (detail, applied) = match outcome {
+                    CallOutcome::Done => (None, Ok(())),
                     CallOutcome::ReturnedLate => {
                         reports.clear(SAFE_OUTPUTS);
-                        Ok(())
+                        (None, Ok(()))
                     }
+                    CallOutcome::Panicked(text) => (
+                        Some(format!("the safe outputs panicked: {text}")),
+                        Err("the safe outputs panicked, and may be applied in part"),
+                    ),
+                    CallOutcome::Blocked(limit) => (
+                        Some(format!("the safe outputs have blocked their thread for {limit:?}")),
+                        Err(NOT_RETURNED),
+                    ),
+                    CallOutcome::NotMade => (
+                        Some("the safe outputs were not called: too many calls block".to_owned()),
+                        Err("the safe outputs were not called"),
+                    ),
                 };
+                detail.into_iter().for_each(|detail| reports.declare(SAFE_OUTPUTS, detail));
                 if let Some(done) = lock(&done).take() {
                     let _ = done.send(applied);
                 }

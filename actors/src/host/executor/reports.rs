@@ -67,9 +67,7 @@ impl ReportOutbox {
                 DeferredReport::State(state) => {
                     to.states.iter().for_each(|to| to.do_send(state.clone()));
                 }
-                DeferredReport::Declared(declared) => {
-                    to.faults.iter().for_each(|to| to.do_send(declared.clone()));
-                }
+                DeferredReport::Declared(declared) => to.send(declared),
                 DeferredReport::Child(event, incarnation) => {
                     let object = record.name.clone();
                     self.supervisor.do_send(ChildReport { object, incarnation, event });

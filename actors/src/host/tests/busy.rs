@@ -2,6 +2,7 @@
 
 use super::{ChildOrder, Log, Stage, logged};
 use crate::arbiter::pool::ArbiterPool;
+use crate::topic::Topics;
 use crate::{ChildSpec, Component, Context, Event, Failure, Handle, Ports, WhenFull};
 use blastema_contract::child::ChildEvent;
 use blastema_core::Contract;
@@ -164,7 +165,8 @@ mod real {
             let (_safety, _) = stage.start(safety(&steps)).await;
             let (_one, _) = stage.start(busy("one", &steps)).await;
             let (_two, _) = stage.start(busy("two", &steps)).await;
-            let publisher = stage.environment.topics().publisher::<Load>(Load::NAME).unwrap();
+            let publisher =
+                stage.environment.feature::<Topics>().publisher::<Load>(Load::NAME).unwrap();
             (0..16).for_each(|_| publisher.publish(Load).unwrap());
 
             worked(&steps, 32).await;

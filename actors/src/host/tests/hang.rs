@@ -4,6 +4,7 @@ use super::{ChildOrder, GRANT, Log, Stage, acc, logged};
 use crate::arbiter::pool::ArbiterPool;
 use crate::liveness::sampler;
 use crate::liveness::sampler::SamplerGuard;
+use crate::topic::Topics;
 use crate::{
     ChildSpec, Component, Context, DeliveryError, Down, Event, Failure, Handle, Incarnation,
     ObjectName, Ports, Sender,
@@ -325,7 +326,7 @@ mod real {
             blocker.tell(Block(1)).unwrap();
             site.hangs().await;
             neighbour.tell(Said(7)).unwrap();
-            let topics = &site.stage.environment.topics();
+            let topics = &site.stage.environment.feature::<Topics>();
             topics.publisher("news").unwrap().publish(Said(8)).unwrap();
 
             child.order(ChildOrder::Abandon);
@@ -441,7 +442,7 @@ mod real {
             let ear = site.ear.clone();
             let spec = ChildSpec::new("witness", move || Witness(ear.clone()));
             let (_witness, witness) = site.stage.start(spec).await;
-            let topics = &site.stage.environment.topics();
+            let topics = &site.stage.environment.feature::<Topics>();
             let publisher =
                 topics.publisher::<Hold>(<Hold as blastema_core::Contract>::NAME).unwrap();
 
@@ -471,7 +472,7 @@ mod real {
             let ear = site.ear.clone();
             let spec = ChildSpec::new("witness", move || Witness(ear.clone()));
             let (mut victim, witness) = site.stage.start(spec).await;
-            let topics = &site.stage.environment.topics();
+            let topics = &site.stage.environment.feature::<Topics>();
             let publisher =
                 topics.publisher::<Hold>(<Hold as blastema_core::Contract>::NAME).unwrap();
 

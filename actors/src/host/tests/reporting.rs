@@ -2,6 +2,7 @@
 
 use super::{ChildOrder, GRANT, Log, Stage, logged};
 use crate::arbiter::pool::ArbiterPool;
+use crate::topic::Topics;
 use crate::{ChildSpec, Component, Context, Event, Handle, Incarnation, Ports};
 use blastema_contract::child::ChildEvent;
 use blastema_contract::reports::ExitReason;
@@ -38,7 +39,7 @@ fn picky(name: &str) -> (ChildSpec<Picky>, Log) {
 }
 
 fn publish(stage: &Stage, topic: &str, n: u64) {
-    stage.environment.topics().publisher(topic).unwrap().publish(Sample(n)).unwrap();
+    stage.environment.feature::<Topics>().publisher(topic).unwrap().publish(Sample(n)).unwrap();
 }
 
 #[test]

@@ -4,6 +4,7 @@ use super::{ChildOrder, Log, Stage, logged};
 use crate::arbiter::pool::ArbiterPool;
 use crate::liveness::sampler;
 use crate::liveness::sampler::SamplerGuard;
+use crate::topic::Topics;
 use crate::{ChildSpec, Component, Context, Event, Handle, ObjectName, Ports};
 use blastema_contract::child::{Child, ChildEvent};
 use blastema_contract::reports::LivenessReported;
@@ -96,11 +97,17 @@ fn watched(stage: &Stage, grace: Duration) -> (Probe<LivenessReported>, SamplerG
 }
 
 fn publish(stage: &Stage, n: u64) {
-    stage.environment.topics().publisher(Sample::NAME).unwrap().publish(Sample(n)).unwrap();
+    stage
+        .environment
+        .feature::<Topics>()
+        .publisher(Sample::NAME)
+        .unwrap()
+        .publish(Sample(n))
+        .unwrap();
 }
 
 fn hubs(stage: &Stage) -> usize {
-    stage.environment.topics().hubs::<Sample>(Sample::NAME)
+    stage.environment.feature::<Topics>().hubs::<Sample>(Sample::NAME)
 }
 
 async fn until(what: &str, mut holds: impl FnMut() -> bool) {
@@ -167,7 +174,7 @@ fn events_whose_clone_or_drop_panics_are_a_fault_of_their_topic() {
         };
         let (_one, _): (Box<dyn Child>, _) = stage.start(start("one")).await;
         let (_two, _) = stage.start(start("two")).await;
-        let bombs = stage.environment.topics().publisher::<Bomb>(Bomb::NAME).unwrap();
+        let bombs = stage.environment.feature::<Topics>().publisher::<Bomb>(Bomb::NAME).unwrap();
 
         (0..20).for_each(|_| bombs.publish(Bomb { drops: true }).unwrap());
         settle().await;
@@ -253,7 +260,7 @@ mod real {
                 });
             });
             let (mut judge, _) = stage.start(judge).await;
-            let publisher = stage.environment.topics().publisher("samples").unwrap();
+            let publisher = stage.environment.feature::<Topics>().publisher("samples").unwrap();
             publisher.publish(Sample(1)).unwrap();
             publisher.publish(Sample(2)).unwrap();
             sighted

@@ -1,6 +1,7 @@
 //! Publish and subscribe.
 
 use super::{Boom, GRANT, Log, Stage, boom, logged};
+use crate::topic::Topics;
 use crate::topic::{EventForward, Reservation, TopicKey};
 use crate::{
     ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Ports, WhenFull,
@@ -58,7 +59,7 @@ fn listener(name: &str) -> (ChildSpec<Listener>, Log) {
 }
 
 fn publish(stage: &Stage, topic: &str, n: u64) {
-    stage.environment.topics().publisher(topic).unwrap().publish(Sample(n)).unwrap();
+    stage.environment.feature::<Topics>().publisher(topic).unwrap().publish(Sample(n)).unwrap();
 }
 
 #[test]
@@ -135,7 +136,7 @@ fn a_subscription_ends_with_a_stop_and_returns_with_the_next_incarnation() {
         settle().await;
         publish(&stage, "other", 3);
         settle().await;
-        assert!(stage.environment.topics().listened().is_empty());
+        assert!(stage.environment.feature::<Topics>().listened().is_empty());
         stage.reports.drain();
         assert_eq!(stage.begin(&mut *child, 4).await, ChildEvent::Started);
         publish(&stage, "other", 4);
@@ -218,7 +219,8 @@ fn an_event_that_waited_too_long_is_counted_instead() {
         let kept = log.clone();
         let spec = ChildSpec::new("tracker", move || Tracker(kept.clone()));
         let (_child, tracker) = stage.start(spec.queue(8, WhenFull::DropOldest)).await;
-        let publisher = stage.environment.topics().publisher::<Scan>(Scan::NAME).unwrap();
+        let publisher =
+            stage.environment.feature::<Topics>().publisher::<Scan>(Scan::NAME).unwrap();
         (1..=3).for_each(|n| publisher.publish(Scan(n)).unwrap());
 
         advance(Duration::from_secs(1)).await;
@@ -259,7 +261,7 @@ impl EventForward for Shipped {
 fn events_are_shipped_out_once_and_come_in_from_outside() {
     paused(async {
         let stage = Stage::new();
-        let topics = &stage.environment.topics();
+        let topics = &stage.environment.feature::<Topics>();
         let key = TopicKey::new("other", Sample::NAME).unwrap();
         let far = NodeName::new("far").unwrap();
         let shipped = Arc::new(Mutex::new(vec![]));
@@ -323,7 +325,7 @@ fn two_types_of_one_name_do_not_meet_on_a_topic() {
 
     paused(async {
         let stage = Stage::new();
-        let topics = &stage.environment.topics();
+        let topics = &stage.environment.feature::<Topics>();
         topics.publisher::<One>("t").unwrap();
 
         let Err(DeliveryError::ContractDiffers { difference }) = topics.publisher::<Two>("t")

@@ -2,6 +2,8 @@
 
 use super::{Acc, Add, Boom, GRANT, Stage, acc, boom};
 use crate::messaging::queue::WhenFull;
+use crate::topic::Topics;
+use crate::variable::VariableStore;
 use crate::{
     ActorRef, ChildSpec, Component, Context, DeliveryError, Down, DownReason, Event, Failure,
     Handle, Incarnation, Ports, Variable, VariableSpec,
@@ -202,7 +204,7 @@ fn three_hundred_incarnations_that_watch_listen_and_publish_leave_nothing_behind
         let (_arm, arm) = stage.start::<Acc>(acc("arm").0).await;
         let interest = Arc::<Mutex<Vec<_>>>::default();
         let kept = interest.clone();
-        stage.environment.topics().on_interest(Arc::new(move |key| {
+        stage.environment.feature::<Topics>().on_interest(Arc::new(move |key| {
             kept.lock().unwrap().push(key.topic.to_string());
         }));
         let (spec, _) = widow("widow", &["arm", "widow", "absent"]);
@@ -211,7 +213,7 @@ fn three_hundred_incarnations_that_watch_listen_and_publish_leave_nothing_behind
         let before = (watchers(&arm), watchers(&widow), Arc::strong_count(&widow.0));
         // Its variables' store watches the widow too.
         assert_eq!((before.0, before.1), (1, 2));
-        assert_eq!(stage.environment.variables().watchers(), 1);
+        assert_eq!(stage.environment.feature::<VariableStore>().watchers(), 1);
 
         for incarnation in 1..=300 {
             child.order(GRANT);
@@ -222,10 +224,10 @@ fn three_hundred_incarnations_that_watch_listen_and_publish_leave_nothing_behind
 
         let after = (watchers(&arm), watchers(&widow), Arc::strong_count(&widow.0));
         assert_eq!(after, before, "watches, and what holds the component");
-        assert_eq!(stage.environment.variables().watchers(), 1);
+        assert_eq!(stage.environment.feature::<VariableStore>().watchers(), 1);
         let reported = interest.lock().unwrap().clone();
         assert_eq!(reported, ["Born"], "one interest for all incarnations");
-        assert_eq!(stage.environment.topics().listened().len(), 1);
+        assert_eq!(stage.environment.feature::<Topics>().listened().len(), 1);
     });
 }
 

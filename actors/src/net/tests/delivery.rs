@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::net::stack::{NetworkStack, RunOnStack};
+use crate::topic::Topics;
 use crate::{Event, WhenFull};
 use blastema_core::TrafficClass;
 
@@ -82,7 +83,7 @@ async fn ear(module: &Module) -> (Box<dyn Child>, Log) {
 }
 
 fn publisher<E: Event>(module: &Module) -> Publisher<E> {
-    module.host.topics().publisher(E::NAME).unwrap()
+    module.host.feature::<Topics>().publisher(E::NAME).unwrap()
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! What is counted, and where, when messages to another node do not arrive.
 
 use super::*;
+use crate::topic::Topics;
 use blastema_core::net::NodeId;
 
 /// What this module has counted of messages to `right`: object or topic, contract, reason, how
@@ -149,7 +150,7 @@ fn events_between_two_sessions_are_lost_to_the_node_that_listened_and_each_is_co
             }
             publish(5..100, 100 * MS).await;
             assert_eq!(publisher.matched(), 1, "the other node is not there");
-            assert!(left.host.topics().rows()[0].listening_nodes.is_empty());
+            assert!(left.host.feature::<Topics>().rows()[0].listening_nodes.is_empty());
             match restarts {
                 true => right = robot.module("right", 2, &[("ethernet", &["left"])]).await,
                 false => robot.restore("ethernet/left"),

@@ -1,6 +1,7 @@
 //! Messages, requests and events between two nodes.
 
 use super::*;
+use crate::topic::Topics;
 
 #[test]
 fn a_message_larger_than_any_frame_arrives_whole() {
@@ -71,7 +72,7 @@ fn a_flood_is_refused_when_full_and_nothing_accepted_is_lost() {
 fn what_grew_old_on_the_way_is_not_delivered_but_counted() {
     paused(async {
         let (robot, left, right) = pair().await;
-        let publisher = left.host.topics().publisher::<Fresh>(Fresh::NAME).unwrap();
+        let publisher = left.host.feature::<Topics>().publisher::<Fresh>(Fresh::NAME).unwrap();
         let sender = left.sender::<Fresh>("right:acc");
         publisher.publish(Fresh(1)).unwrap();
         sender.tell(Fresh(2)).unwrap();

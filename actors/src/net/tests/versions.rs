@@ -1,6 +1,7 @@
 //! Nodes of different releases: the newer one converts, at the receiver.
 
 use super::*;
+use crate::topic::Topics;
 
 /// The first release.
 mod one {
@@ -145,7 +146,7 @@ fn messages_requests_and_events_of_earlier_releases_are_converted_by_the_receive
         advance(50 * MS).await;
         assert_eq!(log.take(), [1, 2, 3]);
 
-        let old = left.host.topics().publisher::<one::Speed>("speed").unwrap();
+        let old = left.host.feature::<Topics>().publisher::<one::Speed>("speed").unwrap();
         old.publish(one::Speed { mm_per_s: 4 }).unwrap();
         old.publish(one::Speed { mm_per_s: 5 }).unwrap();
         advance(50 * MS).await;
@@ -158,7 +159,7 @@ fn messages_requests_and_events_of_earlier_releases_are_converted_by_the_receive
 fn a_topic_that_is_known_before_anybody_listens_is_settled_at_once() {
     paused(async {
         let (_robot, left, right) = pair().await;
-        let old = left.host.topics().publisher::<one::Speed>("speed").unwrap();
+        let old = left.host.feature::<Topics>().publisher::<one::Speed>("speed").unwrap();
         let log = Log::default();
         let kept = log.clone();
         let _wheels = live(&right, ChildSpec::new("wheels", move || Wheels(kept.clone()))).await;
@@ -178,7 +179,7 @@ fn who_is_older_than_the_sender_is_refused_with_the_difference_on_both_sides() {
         let kept = log.clone();
         let _old = live(&right, ChildSpec::new("old", move || Old(kept.clone()))).await;
 
-        let new = left.host.topics().publisher::<two::Speed>("speed").unwrap();
+        let new = left.host.feature::<Topics>().publisher::<two::Speed>("speed").unwrap();
         for _ in 0..3 {
             new.publish(two::Speed { forward: 1.0 }).unwrap();
         }
@@ -292,7 +293,7 @@ fn a_conversion_that_panics_is_the_receivers_fault_and_costs_that_message_alone(
         let _glass = live(&right, ChildSpec::new("glass", move || Glass(kept.clone()))).await;
         let glass = left.sender::<frail_one::Frail>("right:glass");
         let brittle = left.sender::<frail_one::Brittle>("right:glass");
-        let topic = left.host.topics().publisher::<frail_one::Frail>("frail").unwrap();
+        let topic = left.host.feature::<Topics>().publisher::<frail_one::Frail>("frail").unwrap();
 
         [1, 13, 2].into_iter().for_each(|n| glass.tell(frail_one::Frail(n)).unwrap());
         advance(50 * MS).await;

@@ -279,8 +279,8 @@ impl FaultChain {
         watchdogs: Vec<Box<dyn ProcessWatchdog>>,
         environment: Arc<ComponentEnvironment>,
     ) -> Result<(), StartError> {
-        let (node, actuators) = (node.clone(), environment.actuators().clone());
-        let stop_limit = move || match environment.actuators().are_stopping() {
+        let (node, actuators) = (node.clone(), environment.feature::<ActuatorTable>().clone());
+        let stop_limit = move || match environment.feature::<ActuatorTable>().are_stopping() {
             true => Duration::from_millis(environment.longest_stop_ms.load(Relaxed)),
             false => Duration::ZERO,
         };

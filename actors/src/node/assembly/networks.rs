@@ -4,6 +4,7 @@ use super::chain::FaultChain;
 use super::{NodeAssembly, middleware, named};
 use crate::component::environment::ComponentEnvironment;
 use crate::component::spec_error::SpecError;
+use crate::directory::DirectoryTable;
 use crate::directory::actor::{DirectoryActor, DirectorySetup};
 use crate::net::{self, DirectoryLine, NetEnvironment, NetHandle, NetReports};
 use crate::node::Shared;
@@ -13,7 +14,9 @@ use crate::node::error::StartError;
 use crate::node::network::description::NetworkDescription;
 use crate::node::network::{Cable, NetworkRow};
 use crate::platform::own_arbiter;
+use crate::service::Roster;
 use crate::service::{Carried, ReplicaActor, ServiceRefused};
+use crate::topic::Topics;
 use actix::prelude::*;
 use blastema_contract::monitor::{NodeReported, Register};
 use blastema_contract::notifier::AddPort;
@@ -143,7 +146,7 @@ impl NodeAssembly {
         let services: Vec<_> = services.into_iter().collect::<Result<_, _>>()?;
         for carried in services {
             let name = carried.actor.clone();
-            let roster = self.node.environment.services();
+            let roster = self.node.environment.feature::<Roster>();
             roster.enter(carried.name.clone(), &carried.config);
             let place = self.node.networks.as_ref().and_then(|networks| networks.arbiter.as_ref());
             let Shared { chain, environment, .. } = &self.node;
@@ -209,7 +212,7 @@ fn make_networks(
         guardian: guardian.clone(),
         arbiter: arbiter.clone(),
         registry: environment.registry.clone(),
-        topics: environment.topics().clone(),
+        topics: environment.feature::<Topics>().clone(),
         dead_letters: environment.dead_letters.clone(),
         may_be_away,
         reports: NetReports {
@@ -266,8 +269,8 @@ fn directory_setup(
         expected: Vec::new(),
         network: Arc::default(),
         registry: environment.registry.clone(),
-        topics: environment.topics().clone(),
-        names: environment.directory().clone(),
+        topics: environment.feature::<Topics>().clone(),
+        names: environment.feature::<DirectoryTable>().clone(),
         faults: Some(chain.monitor.clone().recipient()),
         cleared: Some(chain.monitor.clone().recipient()),
     }

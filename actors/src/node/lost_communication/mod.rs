@@ -18,6 +18,7 @@ use super::conditions::NodeSlot;
 use super::error::{PolicyPart, StartError};
 use crate::actuator::{ActuatorKey, ActuatorTable};
 use crate::component::environment::ComponentEnvironment;
+use crate::condition::Conditions;
 use crate::condition::{ConditionError, object_of};
 use crate::platform::{self, lock};
 use actix::prelude::{ArbiterHandle, Recipient};
@@ -199,7 +200,7 @@ impl LostCommunicationPolicy {
         environment: &ComponentEnvironment,
         arbiter: Option<&ArbiterHandle>,
     ) -> Result<Arc<KeptPolicy>, StartError> {
-        let conditions = environment.conditions();
+        let conditions = environment.feature::<Conditions>();
         let condition = conditions.declare(&self.name, &self.needs, platform::now(), None);
         let refused = |error: ConditionError| self.refused(PolicyPart::Whole, error.to_string());
         let condition = condition.map_err(refused)?;
@@ -212,7 +213,7 @@ impl LostCommunicationPolicy {
             let commands = rung.commands.into_iter();
             // Those that are wrong were refused by the check.
             let commands = commands.filter_map(|known| {
-                let (key, command) = known.resolved(environment.actuators())?;
+                let (key, command) = known.resolved(environment.feature::<ActuatorTable>())?;
                 Some((key, command.ok()?))
             });
             let runs = rung.component.map(|component| format!("{node}:{component}"));
@@ -232,7 +233,7 @@ impl LostCommunicationPolicy {
             object,
             rungs,
             commander,
-            actuators: environment.actuators().clone(),
+            actuators: environment.feature::<ActuatorTable>().clone(),
             faults: environment.reports.faults.clone(),
             ladder: Mutex::new(LostCommunication::new(times, self.end)),
             rung: ladder,

@@ -229,7 +229,7 @@ impl LostCommunicationPolicy {
                 format!("its rung {rung} runs {name}, and {kind} has that name: rename one");
             return vec![(PolicyPart::Rung(place), reason)];
         }
-        rung.check(place, environment.actuators())
+        rung.check(place, environment.feature::<ActuatorTable>())
     }
 
     /// Finds what two policies of one node would fight for.

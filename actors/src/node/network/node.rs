@@ -2,6 +2,7 @@
 //! isolates and orders there.
 
 use super::{Cable, NetworkRow};
+use crate::directory::DirectoryTable;
 use crate::directory::{Claim, ClaimError, ClaimPolicy, ClaimRow, Holder, NameWatch, NodeRow};
 use crate::net::RosterRow;
 use crate::net::operator::{self, KeyStatus, OrderError};
@@ -9,8 +10,10 @@ use crate::node::order::{COMPONENTS, ComponentOrder, OrderReply};
 use crate::node::{Node, NodeState};
 use crate::platform;
 use crate::registry::remote::NameResolver;
+use crate::service::Roster;
 use crate::service::{Role, ServiceRef, ServiceRow};
 use crate::topic::TopicRow;
+use crate::topic::Topics;
 use blastema_contract::link::LinkRow;
 use blastema_contract::router::InjectPanic;
 use blastema_contract::session::SessionRow;
@@ -123,13 +126,13 @@ impl Node {
     pub(in crate::node) fn with_publishing_nodes(&self, row: TopicRow) -> TopicRow {
         let Ok(topic) = ObjectName::new(&row.topic) else { return row };
         let key = DirectoryKey::Publisher { topic, contract: row.contract.clone() };
-        let publishing_nodes = self.0.environment.directory().nodes_with(&key);
+        let publishing_nodes = self.0.environment.feature::<DirectoryTable>().nodes_with(&key);
         TopicRow { publishing_nodes, ..row }
     }
 
     /// Every other node that a session is open with, and its objects.
     pub fn neighbourhood(&self) -> Vec<NodeRow> {
-        self.0.environment.directory().node_rows()
+        self.0.environment.feature::<DirectoryTable>().node_rows()
     }
 
     /// The cable of a network that was described [`with_faults`](crate::Network::with_faults).
@@ -168,12 +171,16 @@ impl Node {
         policy: ClaimPolicy,
     ) -> Result<Claim, ClaimError> {
         let (name, object) = (ObjectName::new(name)?, ObjectName::new(object)?);
-        Claim::make(self.0.environment.directory(), ClaimRequest { name, object, policy }).await
+        Claim::make(
+            self.0.environment.feature::<DirectoryTable>(),
+            ClaimRequest { name, object, policy },
+        )
+        .await
     }
 
     /// Returns the holder of a global name, as known to this node.
     pub fn holder(&self, name: &str) -> Option<Holder> {
-        self.0.environment.directory().holder(&ObjectName::new(name).ok()?)
+        self.0.environment.feature::<DirectoryTable>().holder(&ObjectName::new(name).ok()?)
     }
 
     /// Reports the holder of a global name, now and at each change.
@@ -181,12 +188,12 @@ impl Node {
     /// # Errors
     /// The name does not parse.
     pub fn watch_name(&self, name: &str) -> Result<NameWatch, NameError> {
-        Ok(NameWatch::new(self.0.environment.directory(), ObjectName::new(name)?))
+        Ok(NameWatch::new(self.0.environment.feature::<DirectoryTable>(), ObjectName::new(name)?))
     }
 
     /// Returns the global names that have a holder.
     pub fn claims(&self) -> Vec<ClaimRow> {
-        self.0.environment.directory().rows()
+        self.0.environment.feature::<DirectoryTable>().rows()
     }
 
     /// Waits until all of these are there: objects of other nodes (`module2:arm`), of this node
@@ -219,7 +226,8 @@ impl Node {
     fn missing(&self, names: &[&str], topics: &[&str]) -> Vec<(String, String)> {
         let absent =
             names.iter().filter_map(|name| Some(((*name).to_owned(), self.absence(name)?)));
-        let unheard = topics.iter().filter(|topic| !self.0.environment.topics().is_heard(topic));
+        let unheard =
+            topics.iter().filter(|topic| !self.0.environment.feature::<Topics>().is_heard(topic));
         let why = "no node listens to this topic";
         absent.chain(unheard.map(|topic| (format!("topic {topic}"), why.to_owned()))).collect()
     }
@@ -244,7 +252,11 @@ impl Node {
         if !networks.handle.is_connected(&node) {
             return Some(format!("{node} is not connected"));
         }
-        let having = self.0.environment.directory().nodes_with(&DirectoryKey::Object(object));
+        let having = self
+            .0
+            .environment
+            .feature::<DirectoryTable>()
+            .nodes_with(&DirectoryKey::Object(object));
         let has = having.contains(&node);
         (!has).then(|| format!("{node} has no object of this name"))
     }
@@ -362,19 +374,19 @@ impl Node {
     /// The name does not parse. Whether there is such a service is found out when it is asked.
     pub fn service<M: Request>(&self, name: &str) -> Result<ServiceRef<M>, NameError> {
         let registry = &self.0.environment.registry;
-        let services = self.0.environment.services();
+        let services = self.0.environment.feature::<Roster>();
         ServiceRef::new(registry, services, name)
     }
 
     /// Whether this node serves, or stands by for, a service that it carries.
     pub fn service_role(&self, name: &str) -> Option<Role> {
-        self.0.environment.services().role(&ObjectName::new(name).ok()?)
+        self.0.environment.feature::<Roster>().role(&ObjectName::new(name).ok()?)
     }
 
     /// Returns the services that this node hosts: its role in each, the primary, and missing
     /// members.
     pub fn services(&self) -> Vec<ServiceRow> {
-        self.0.environment.services().rows()
+        self.0.environment.feature::<Roster>().rows()
     }
 
     /// Shuts this node down once another process has its name, and answers.

@@ -8,7 +8,7 @@ mod symptoms;
 use super::*;
 use crate::detection::{
     ConfirmedQueueOutput, ExitReason, FaultStatus, Finding, LinkCondition, NodeCondition, Notifier,
-    NotifierLimits, OverloadFigures, RecovererPort,
+    OverloadFigures, RecovererPort,
 };
 use crate::{ObjectAddress, Severity};
 use std::sync::Arc;
@@ -58,7 +58,7 @@ struct Bench {
 
 impl Bench {
     fn new() -> Self {
-        let mut notifier = Notifier::new(NotifierLimits::default());
+        let mut notifier = Notifier::default();
         notifier.add_port(RecovererPort::Local, at(0));
         Bench { detector: Detector::new(node("m")), notifier, now: at(0) }
     }

@@ -23,7 +23,7 @@ fn node(name: &str) -> NodeName {
 }
 
 fn monitor() -> Monitor {
-    Monitor::new(node("m"), MonitorLimits::default())
+    Monitor::new(node("m"))
 }
 
 fn watched() -> Monitor {
@@ -432,7 +432,7 @@ fn a_stranger_that_dies_is_not_lost_and_one_that_was_stopped_is_no_news() {
 
 #[test]
 fn a_restart_with_a_smaller_number_is_a_new_incarnation() {
-    let mut monitor = Monitor::new(node("m"), MonitorLimits::default());
+    let mut monitor = Monitor::new(node("m"));
     monitor.handle_node(node("n"), TWO, NodeCondition::Reachable, at(0));
     let lost = || NodeCondition::Lost { reason: "gone".to_owned() };
     monitor.handle_node(node("n"), TWO, lost(), at(10));
@@ -449,8 +449,7 @@ fn a_restart_with_a_smaller_number_is_a_new_incarnation() {
 
 #[test]
 fn a_full_table_refuses_what_is_not_in_it() {
-    let limits = MonitorLimits { rows: 1 };
-    let mut monitor = Monitor::new(node("m"), limits);
+    let mut monitor = Monitor { rows_max: 1, ..Monitor::new(node("m")) };
     monitor.enrol(Registration::new(object("a")), at(0)).expect("there is room");
 
     let refused = monitor.enrol(Registration::new(object("b")), at(0));

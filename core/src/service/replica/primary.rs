@@ -83,6 +83,13 @@ impl Primary {
         }
     }
 
+    /// Holds the reply of a repeated request back until the followers have all entries of earlier
+    /// epochs, of which its own may be one.
+    pub(super) fn hold_repeat(&mut self, id: MessageId, caller: u64, now: Instant) {
+        self.waiting.insert(id, caller);
+        self.held_replies.push_front((self.base, id, now));
+    }
+
     /// Returns until when a majority has promised to vote for no other replica.
     fn lease_until(&self, config: &ReplicaConfig) -> Option<Instant> {
         let needed = config.majority() - 1;
@@ -343,7 +350,7 @@ impl Replica {
                 }
             }
             primary.held_replies.pop_front();
-            primary.released = position;
+            primary.released = primary.released.max(position);
             self.log.answered = self.log.answered.max(position);
             answers.extend(primary.waiting.remove(&id).map(|caller| (caller, id)));
         }

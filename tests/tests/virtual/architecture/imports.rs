@@ -36,6 +36,7 @@ const LAYERS: &[(&str, &str)] = &[
     ("device", "platform messaging component host topic variable actuator"),
     ("process", TO_HOST),
     ("parameters", "arbiter component variable"),
+    ("features", "platform component topic variable actuator condition service port"),
 ];
 const TO_HOST: &str = "platform runtime arbiter messaging liveness registry component host";
 const TO_NET: &str =

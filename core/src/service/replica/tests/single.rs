@@ -92,6 +92,38 @@ fn a_promise_that_answers_no_heartbeat_extends_no_lease_beyond_its_receipt() {
 }
 
 #[test]
+fn after_a_takeover_a_repeated_request_is_answered_once_a_majority_has_its_entry() {
+    let members = [0, 1, 2, 3, 4];
+    let mut own = started(listing(0, &members));
+    let voters = [1, 2].map(|voter| started(listing(voter, &members)));
+    // The primary before has sent this entry to no other member.
+    let (id, position) = (MessageId { sender: 1, sequence: 7 }, Position { epoch: 0, number: 1 });
+    own.log.position = position;
+    own.log.table.note(Served { id, result: Ok(vec![9]) });
+    own.handle_timeout(at(34));
+    let (answered, status) = (Position::default(), StandbyStatus::InStep);
+    for voter in &voters {
+        deliver(&mut own, voter, &Message::Vote(Vote { epoch: 1, in_step: false, answered }), 35);
+    }
+
+    own.handle_request(request(5, id), at(36));
+
+    let mut is_answered = vec![answers(&mut own)];
+    for voter in &voters {
+        let promise = LeasePromise { epoch: 1, sent: None, position, answered, status };
+        deliver(&mut own, voter, &Message::LeasePromise(promise), 37);
+        is_answered.push(answers(&mut own));
+    }
+    assert_eq!(is_answered, [false, false, true]);
+}
+
+/// Returns whether a caller is answered.
+fn answers(replica: &mut Replica) -> bool {
+    let mut outputs = std::iter::from_fn(|| replica.poll_output());
+    outputs.any(|output| matches!(output, ReplicaOutput::Answer { .. }))
+}
+
+#[test]
 fn a_replica_that_needs_no_vote_waits_for_answers_after_its_second_poll_but_not_for_ever() {
     let stop = listing(0, &[0]);
     let goes_on = ReplicaConfig { on_partition: OnPartition::Continue, ..listing(0, &[0, 1, 2]) };
