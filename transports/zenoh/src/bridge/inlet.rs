@@ -4,11 +4,12 @@
 //! is refused on Zenoh's thread; what fits waits in a bounded queue, of which the oldest goes
 //! first, and only so many events in each span of time are published.
 
-use super::{BridgedContract, json};
+use super::BridgedContract;
 use crate::client::ZenohReader;
 use blastema::Publisher;
 use blastema::core::contract::codec;
 use blastema::prelude::*;
+use serde_path_to_error::Track;
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -76,19 +77,41 @@ impl<E: Event> InletQueue<E> {
     }
 
     fn read(&self, schema: &str, text: &[u8]) -> Result<E, String> {
-        let BridgedContract { layout, tag, .. } = &self.contract;
+        let tag = &self.contract.tag;
         if !schema.is_empty() && schema != tag {
-            let schema: String = schema.chars().take(60).collect();
-            return Err(format!("its encoding says {schema:?}, and this key carries {tag:?}"));
+            return Err(format!(
+                "its encoding says {:?}, and this key carries {tag:?}",
+                short(schema)
+            ));
         }
-        let value = serde_json::from_slice(text).map_err(|error| format!("no JSON: {error}"))?;
-        json::check(&value, layout).map_err(|misfit| misfit.to_string())?;
-        drop(value);
-        // From the text: numbers of 128 bits are more than a parsed one can hold.
-        let event: E = serde_json::from_slice(text).map_err(|error| error.to_string())?;
+        let event: E = parsed(text)?;
+        // JSON has no infinite numbers: one that is too large for an f32 comes to be one.
+        let again = serde_json::to_vec(&event).map_err(|error| error.to_string())?;
+        parsed::<E>(&again).map_err(|_| "a number is too large for its field".to_owned())?;
         codec::encode(&event, &mut Vec::new()).map_err(|error| error.to_string())?;
         Ok(event)
     }
+}
+
+/// What the text says. An error names the place where it does not fit; unknown fields are errors.
+fn parsed<E: Event>(text: &[u8]) -> Result<E, String> {
+    let (mut json, mut track) = (serde_json::Deserializer::from_slice(text), Track::new());
+    let mut unknown = None;
+    let read = serde_ignored::deserialize(
+        serde_path_to_error::Deserializer::new(&mut json, &mut track),
+        |path| unknown = unknown.take().or_else(|| Some(path.to_string().replace(".?", ""))),
+    );
+    let event = read.map_err(|error| short(&format!("`{}`: {error}", track.path())))?;
+    json.end().map_err(|error| error.to_string())?;
+    match unknown {
+        None => Ok(event),
+        Some(path) => Err(short(&format!("`{path}` is no field of the contract"))),
+    }
+}
+
+/// A text from outside, for display.
+fn short(text: &str) -> String {
+    text.chars().filter(|one| !one.is_control()).take(160).collect()
 }
 
 impl<E: Event> ZenohReader for InletQueue<E> {
@@ -288,24 +311,33 @@ mod tests {
             let why = queue.read("", text.as_bytes()).unwrap_err();
             assert!(why.contains(says), "{why}");
         };
-        refused("{", "no JSON");
-        refused("7", "it is 7, where an object is expected");
-        refused(&changed("/joints/1", json!("left")), r#"`joints[1]` is "left", where f64"#);
-        refused(&changed("/joints", json!([1.0])), "`joints` is an array of 1, where 2");
-        refused(&changed("/load", json!(70_000)), "`load` is 70000, where u16 is expected");
-        refused(&changed("/load", json!(1.5)), "`load` is 1.5, where u16");
-        refused(&changed("/tool", json!("Griper")), r#"`tool` is "Griper": is "Gripper" meant?"#);
-        refused(&changed("/tool", json!("Gripper")), "without its value");
-        refused(&changed("/tool", json!({ "None": 1 })), "with a value");
-        refused(&changed("/tool/Gripper/width", json!(1e300)), "`tool.Gripper.width` is 1e");
-        refused(&changed("/tool", json!({ "Welder": [1, 256] })), "`tool.Welder[1]` is 256");
-        refused(&changed("/labels", json!({ "many": "" })), "`labels.many` is no key: u8");
-        refused(&changed("/raw", json!("abc")), r#"`raw` is "abc", where an array"#);
-        refused(&changed("/after", json!(1.5)), "`after` is 1.5, where a duration");
-        refused(&changed("/next/then/x", json!(-129)), "`next.then.x` is -129, where i8");
-        refused(&changed("/next", json!({ "x": 1 })), "`next.then` is missing");
+        refused("{", "EOF");
+        refused("7", "invalid type: integer `7`");
+        refused("{} {}", "missing field `joints`");
+        refused(&format!("{} {{}}", changed("/load", json!(7))), "trailing characters");
+        refused(
+            &changed("/joints/1", json!("left")),
+            r#"`joints[1]`: invalid type: string "left""#,
+        );
+        refused(&changed("/joints", json!([1.0])), "`joints`: invalid length 1");
+        refused(&changed("/load", json!(70_000)), "`load`: invalid value: integer `70000`");
+        refused(&changed("/load", json!(1.5)), "`load`: invalid type: floating point `1.5`");
+        refused(&changed("/tool", json!("Griper")), "`tool`: unknown variant `Griper`");
+        refused(&changed("/tool", json!("Gripper")), "`tool.Gripper`: invalid type: unit variant");
+        refused(&changed("/tool", json!({ "None": 1 })), "`tool.None`: invalid type");
+        refused(&changed("/tool/Gripper/width", json!(1e300)), "a number is too large");
+        refused(
+            &changed("/tool", json!({ "Welder": [1, 256] })),
+            "`tool.Welder[1]`: invalid value",
+        );
+        refused(&changed("/labels", json!({ "many": "" })), "`labels.many`: ");
+        refused(&changed("/raw", json!("abc")), r#"`raw`: invalid type: string "abc""#);
+        refused(&changed("/raw", json!("a".repeat(1000))), "`raw`: invalid type: string");
+        refused(&changed("/after", json!(1.5)), "`after`: invalid type");
+        refused(&changed("/next/then/x", json!(-129)), "`next.then.x`: invalid value");
+        refused(&changed("/next", json!({ "then": null })), "`next`: missing field `x`");
         let more = json!({ "x": 1, "then": null, "y": 2 });
-        refused(&changed("/next", more), "`next.y` is no field: there are x, then");
+        refused(&changed("/next", more), "`next.y` is no field of the contract");
         refused(&changed("/raw", json!(vec![255; 300])), "more than the 256 bytes");
         let deep = "[".repeat(100_000);
         refused(&deep, "recursion limit");

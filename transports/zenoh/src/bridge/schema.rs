@@ -3,7 +3,6 @@
 //! Units and coordinate frames are annotations, `x-unit` and `x-frame`, which validators ignore;
 //! `x-contract` has what nodes compare when they bind.
 
-use super::json::bounds;
 use blastema::core::contract::layout::{Fields, Primitive, Shape, Variant};
 use blastema::core::{ContractIdentity, LayoutDescription};
 use serde_json::{Map, Value, json};
@@ -174,4 +173,72 @@ fn primitive(leaf: Primitive) -> Value {
             json!({ "type": "integer", "minimum": low, "maximum": high, "x-type": leaf.name() })
         }
     }
+}
+
+/// Refuses what JSON cannot hold: keys of maps that are no texts, and values of which nothing
+/// tells whether they are there.
+pub(super) fn check(layout: &LayoutDescription) -> Result<(), String> {
+    let types = layout.types();
+    let seen_through = |mut at: u32| {
+        // A structure around one value is written as that value. A table of types is finite.
+        for _ in types {
+            match &types[at as usize] {
+                Shape::Struct(_, Fields::Tuple(fields)) if fields.len() == 1 => at = fields[0].of,
+                _ => break,
+            }
+        }
+        &types[at as usize]
+    };
+    for shape in types {
+        match shape {
+            Shape::Map(key, _) => match seen_through(*key) {
+                Shape::Leaf(
+                    Primitive::F32 | Primitive::F64 | Primitive::Unit | Primitive::Duration,
+                )
+                | Shape::Optional(_)
+                | Shape::Sequence(_)
+                | Shape::Set(_)
+                | Shape::Map(..)
+                | Shape::AtMost(..)
+                | Shape::Array(..)
+                | Shape::Tuple(_)
+                | Shape::Struct(..)
+                | Shape::Enum(..) => {
+                    return Err("a map's keys are texts, integers or booleans there: publish a \
+                                sequence of pairs instead"
+                        .into());
+                }
+                _ => {}
+            },
+            Shape::Optional(of) => match seen_through(*of) {
+                Shape::Optional(_)
+                | Shape::Leaf(Primitive::Unit)
+                | Shape::Struct(_, Fields::Unit) => {
+                    return Err("an option of an option, or of nothing, cannot be told from none \
+                                there: publish an enumeration instead"
+                        .into());
+                }
+                _ => {}
+            },
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+/// The least and the greatest value of an integer.
+fn bounds(leaf: Primitive) -> Option<(i128, i128)> {
+    Some(match leaf {
+        Primitive::U8 => (0, u8::MAX.into()),
+        Primitive::U16 => (0, u16::MAX.into()),
+        Primitive::U32 => (0, u32::MAX.into()),
+        Primitive::U64 => (0, u64::MAX.into()),
+        Primitive::U128 => (0, i128::MAX),
+        Primitive::I8 => (i8::MIN.into(), i8::MAX.into()),
+        Primitive::I16 => (i16::MIN.into(), i16::MAX.into()),
+        Primitive::I32 => (i32::MIN.into(), i32::MAX.into()),
+        Primitive::I64 => (i64::MIN.into(), i64::MAX.into()),
+        Primitive::I128 => (i128::MIN, i128::MAX),
+        _ => return None,
+    })
 }
