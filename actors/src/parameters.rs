@@ -10,7 +10,7 @@ use crate::component::ports::{ParameterValues, ParametersType, Ports};
 use crate::component::spec_error::SpecError;
 use crate::component::{Component, Handle};
 use crate::variable::VariableStore;
-use crate::variable::ports::VariablePorts;
+use crate::variable::ports::VariablePort;
 use crate::variable::{DeclaredVariable, RestorePolicy, VariableRef, declared};
 use blastema_core::contract::codec;
 use blastema_core::parameters::{ParameterError, ParameterValue, Parameters};
@@ -232,7 +232,9 @@ impl<C: Component> Ports<C> {
             declare::<C, P>(cell, cell.record.environment.configured())
         };
         self.parameters = Some(ParametersType { describe: P::describe, refused: refused_by::<P> });
-        self.feature::<VariablePorts<C>>().declare_parameters(P::NAME, Box::new(declare));
+        let declare = Box::new(declare);
+        let port = VariablePort { contract: P::NAME, is_parameters: true, declare };
+        self.feature::<Vec<VariablePort<C>>>().push(port);
         self
     }
 }

@@ -47,11 +47,11 @@ pub enum ValueState {
     Undecided,
 }
 
-/// A variable as it stands.
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// A variable as it stands; of a write, its revision only.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ValueReport {
     /// The encoded value.
-    pub value: Bytes,
+    pub value: Vec<u8>,
     /// The number of the change that gave the value; rises.
     pub revision: u64,
     /// How far it can be relied on.
@@ -319,7 +319,7 @@ impl<F> Entry<F> {
 
     fn report(&self, now: Instant) -> ValueReport {
         ValueReport {
-            value: self.value.clone(),
+            value: self.value.to_vec(),
             revision: self.revision,
             state: self.state,
             age: now - self.since,

@@ -3,7 +3,7 @@
 use super::RestoreDecision;
 use crate::registry::encoding::OtherContract;
 use blastema_core::ObjectName;
-use blastema_core::variables::{ValueReport, ValueState};
+use blastema_core::variables::ValueReport;
 use blastema_macros::{Request, Structure};
 use std::time::Duration;
 
@@ -12,8 +12,8 @@ use std::time::Duration;
 #[contract(
     crate = "crate",
     name = "blastema/variables",
-    version = 4,
-    reply = Result<VariableAnswer, OtherContract>,
+    version = 5,
+    reply = Result<ValueReport, OtherContract>,
     max_size = 1024 * 1024
 )]
 pub(crate) enum VariableRequest {
@@ -48,22 +48,6 @@ pub(crate) struct WriteEntry {
     pub(crate) variable: VariableSelector,
     pub(crate) value: RestoreDecision<Vec<u8>>,
     pub(crate) if_revision: Option<u64>,
-}
-
-/// A variable as it stands; of a write, its revision only.
-#[derive(Clone, Debug, Structure)]
-#[contract(crate = "crate")]
-pub(crate) struct VariableAnswer {
-    pub(crate) value: Vec<u8>,
-    pub(crate) revision: u64,
-    pub(crate) state: ValueState,
-    pub(crate) age: Duration,
-}
-
-impl From<ValueReport> for VariableAnswer {
-    fn from(ValueReport { value, revision, state, age }: ValueReport) -> Self {
-        VariableAnswer { value: value.into(), revision, state, age }
-    }
 }
 
 /// How long a watcher waits before it asks again, so that one who has gone is not kept for ever.

@@ -20,8 +20,9 @@ pub(crate) use store::{DeclaredVariable, KEPT_VARIABLES, VariableStore, declared
 use crate::messaging::sender::Sender;
 use crate::registry::Registry;
 use crate::registry::encoding::encoded;
-use access::{VariableAnswer, VariableRequest, VariableSelector, WATCH_WITHIN, WriteEntry};
+use access::{VariableRequest, VariableSelector, WATCH_WITHIN, WriteEntry};
 use blastema_core::contract::codec;
+use blastema_core::variables::ValueReport;
 use blastema_core::{ContractIdentity, DeliveryError, NodeName, ObjectName, Variable};
 use blastema_macros::Structure;
 use std::fmt;
@@ -145,7 +146,7 @@ impl<V: Variable> VariableRef<V> {
         VariableSelector { object: self.object.clone(), identity }
     }
 
-    async fn ask(&self, access: VariableRequest) -> Result<VariableAnswer, DeliveryError> {
+    async fn ask(&self, access: VariableRequest) -> Result<ValueReport, DeliveryError> {
         let asked = self.sender.ask_within(access, WATCH_WITHIN).await;
         asked
             .map_err(|error| none_at_all::<V>(error.kind))?
@@ -153,7 +154,7 @@ impl<V: Variable> VariableRef<V> {
     }
 
     async fn ask_for_value(&self, access: VariableRequest) -> Result<Reading<V>, DeliveryError> {
-        let VariableAnswer { value, revision, state, age } = self.ask(access).await?;
+        let ValueReport { value, revision, state, age } = self.ask(access).await?;
         Ok(Reading { value: codec::decode::<V>(&value)?, revision, state, age })
     }
 

@@ -11,27 +11,14 @@ use blastema_core::sorted::SortedSet;
 use blastema_core::{ObjectName, Variable};
 use std::sync::Arc;
 
-/// Makes a variable once its component is registered.
-type DeclareLater<C> =
-    Box<dyn FnOnce(&Arc<ComponentCell<C>>) -> Result<DeclaredVariable, SpecError>>;
-
-/// The variables that a component declares.
-pub(crate) struct VariablePorts<C: Component> {
-    declared: Vec<DeclaredVariable>,
-    /// The parameters: their contract, and what makes the variable that holds them.
-    parameters: Vec<(&'static str, DeclareLater<C>)>,
-}
-
-impl<C: Component> Default for VariablePorts<C> {
-    fn default() -> Self {
-        VariablePorts { declared: Vec::new(), parameters: Vec::new() }
-    }
-}
-
-impl<C: Component> VariablePorts<C> {
-    pub(crate) fn declare_parameters(&mut self, contract: &'static str, declare: DeclareLater<C>) {
-        self.parameters.push((contract, declare));
-    }
+/// A variable that a component declares.
+pub(crate) struct VariablePort<C: Component> {
+    pub(crate) contract: &'static str,
+    /// It holds the component's parameters.
+    pub(crate) is_parameters: bool,
+    /// Makes it once the component is registered.
+    pub(crate) declare:
+        Box<dyn FnOnce(&Arc<ComponentCell<C>>) -> Result<DeclaredVariable, SpecError>>,
 }
 
 /// Applies the policies of a component's variables, and withdraws them with it.
@@ -50,27 +37,26 @@ impl CellListener for Withdrawal {
     }
 }
 
-impl<C: Component> Declarations<C> for VariablePorts<C> {
+impl<C: Component> Declarations<C> for Vec<VariablePort<C>> {
     fn check(&self, component: &ObjectName, _: &SortedSet<&'static str>) -> Result<(), SpecError> {
         let twice = |contract, ports| {
             Err(SpecError::PortTwice { name: component.clone(), contract, ports })
         };
-        if let [_, (contract, _), ..] = self.parameters[..] {
-            return twice(contract, "a component has one set of parameters");
+        let mut sets = self.iter().filter(|port| port.is_parameters);
+        if let Some(second) = sets.nth(1) {
+            return twice(second.contract, "a component has one set of parameters");
         }
-        let mut known: SortedSet<_> = self.parameters.iter().map(|(name, _)| *name).collect();
-        let mut names = self.declared.iter().map(|(name, _)| *name);
-        match names.find(|name| !known.insert(*name)) {
+        let mut known = SortedSet::new();
+        match self.iter().map(|port| port.contract).find(|name| !known.insert(*name)) {
             Some(contract) => twice(contract, "both by variable"),
             None => Ok(()),
         }
     }
 
     fn bind(self: Box<Self>, cell: &Arc<ComponentCell<C>>) -> Result<(), SpecError> {
-        let VariablePorts { mut declared, parameters } = *self;
-        for (_, declare) in parameters {
-            declared.push(declare(cell)?);
-        }
+        let declared: Result<Vec<_>, _> =
+            self.into_iter().map(|port| (port.declare)(cell)).collect();
+        let declared = declared?;
         let (name, environment) = (&cell.record.name, &cell.record.environment);
         let store = environment.feature::<VariableStore>();
         cell.record.listen(Withdrawal { store: store.clone(), owner: name.clone() });
@@ -88,7 +74,10 @@ impl<C: Component> Ports<C> {
     /// Owns a variable: a value that any node may read, write and watch at the component's name. It
     /// outlives the component's incarnations.
     pub fn variable<V: Variable>(&mut self, spec: VariableSpec<V>) -> &mut Self {
-        self.feature::<VariablePorts<C>>().declared.push(spec.declared());
+        let declared = spec.declared();
+        let declare = Box::new(move |_: &_| Ok(declared));
+        let port = VariablePort { contract: V::NAME, is_parameters: false, declare };
+        self.feature::<Vec<VariablePort<C>>>().push(port);
         self
     }
 }

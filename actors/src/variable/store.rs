@@ -1,7 +1,7 @@
 //! The variables of a node: drives the machine in the core.
 
 use super::RestoreDecision;
-use super::access::{VariableAnswer, VariableRequest, VariableSelector, WriteEntry};
+use super::access::{VariableRequest, VariableSelector, WriteEntry};
 use super::kept_file::{self, LoadError, PersistenceFile, WriteDone};
 use crate::messaging::reply::Responder;
 use crate::platform::file_lock::FileLock;
@@ -15,8 +15,8 @@ use blastema_core::contract::codec;
 use blastema_core::net::trust::policy::Verb;
 use blastema_core::sorted::SortedMap;
 use blastema_core::variables::{
-    PersistedValue, RestorePolicy, ValueState, ValueWrite, VariableDeclaration, VariableKey,
-    Variables,
+    PersistedValue, RestorePolicy, ValueReport, ValueState, ValueWrite, VariableDeclaration,
+    VariableKey, Variables,
 };
 use blastema_core::{ContractIdentity, DeliveryError, ObjectName, PeerIdentity, Variable};
 use bytes::Bytes;
@@ -263,7 +263,7 @@ impl VariableStore {
     fn serve(&self, access: VariableRequest, permit: Permit, reply: Responder<VariableRequest>) {
         match access {
             VariableRequest::Read { variable } => {
-                let read = |(key, _)| Ok(self.lock().machine.read(&key, platform::now())?.into());
+                let read = |(key, _)| Ok(self.lock().machine.read(&key, platform::now())?);
                 reply.settle(self.find(&variable).and_then(read));
             }
             VariableRequest::Watch { variable, after } => match self.find(&variable) {
@@ -307,7 +307,7 @@ impl VariableStore {
             }
         };
         let (state, age) = (ValueState::Current, Duration::ZERO);
-        let report = VariableAnswer { value: Vec::new(), revision, state, age };
+        let report = ValueReport { value: Vec::new(), revision, state, age };
         let done: WriteDone = Box::new(move |kept| match kept {
             Ok(()) => reply.give(Ok(report)),
             Err(reason) => reply.refuse(DeliveryError::NotKept { reason }, None),
@@ -332,7 +332,7 @@ impl VariableStore {
         if inner.machine.declaration(&key).is_none() {
             return Err(inner.no_variable(&key));
         }
-        inner.machine.read(&key, platform::now()).map(|report| report.value)
+        inner.machine.read(&key, platform::now()).map(|report| report.value.into())
     }
 
     fn checked(&self, writes: Vec<WriteEntry>) -> Result<Vec<ValueWrite>, RequestRefusal> {
@@ -373,7 +373,7 @@ fn tell_watchers(mut inner: MutexGuard<'_, Inner>) {
     let reports: Vec<_> = std::iter::from_fn(|| inner.machine.poll_output()).collect();
     drop(inner);
     for (WaitingWatch { permit, reply }, result) in reports {
-        reply.settle(permit().and(result).map(VariableAnswer::from).map_err(RequestRefusal::Why));
+        reply.settle(permit().and(result).map_err(RequestRefusal::Why));
     }
 }
 

@@ -1,7 +1,7 @@
 //! The structure of Rust's own types, and of the middleware's words that users put into messages.
 
 use super::{Described, Field, Fields, Layout, Primitive, Shape, Variant};
-use crate::variables::ValueState;
+use crate::variables::{ValueReport, ValueState};
 use crate::{
     FaultId, FaultKind, FaultLocation, Incarnation, Lifecycle, NodeName, ObjectAddress, ObjectName,
     Severity,
@@ -210,6 +210,9 @@ describe! { struct ObjectAddress { node: NodeName, object: ObjectName } }
 describe! { struct Incarnation(u64) }
 describe! { struct FaultId(u64) }
 describe! { enum ValueState { Current, Held, Undecided } }
+describe! {
+    struct ValueReport { value: Vec<u8>, revision: u64, state: ValueState, age: Duration }
+}
 describe! { enum Severity { Warning, Error, Critical } }
 describe! { enum Lifecycle { Created, Initialized, Active, Error, Fatal, Finalized } }
 describe! {
