@@ -1,11 +1,7 @@
 //! How long a tick of a reactive sequence of 1,000 nodes takes: the median of many, in µs.
 //!
 //! `cargo bench -p blastema-trees`. The library takes 150 µs for the first one, and 345 for the last.
-#![allow(
-    clippy::print_stdout,
-    clippy::disallowed_methods,
-    reason = "a benchmark shows what it has measured"
-)]
+#![allow(clippy::print_stdout, clippy::disallowed_methods, reason = "it shows a measurement")]
 
 use blastema_trees::{Factory, Status};
 use std::time::{Duration, Instant};

@@ -5,42 +5,32 @@ use std::collections::BTreeMap;
 use std::iter::Peekable;
 
 /// The layers of `actors`, bottom up, and what each may import.
-const LAYERS: &[(&str, &str)] = &[
-    ("platform", ""),
-    ("arbiter", "platform"),
-    ("messaging", "platform arbiter"),
-    ("runtime", "platform arbiter messaging"),
-    ("liveness", "platform arbiter messaging"),
-    ("registry", "platform arbiter messaging"),
-    ("journal", "platform runtime"),
-    ("plain", "arbiter messaging"),
-    ("fault_chain", "platform runtime arbiter messaging registry"),
-    ("component", "platform runtime arbiter messaging liveness registry"),
-    ("host", "platform runtime arbiter messaging liveness registry component"),
-    ("topic", TO_HOST),
-    ("net", "platform runtime arbiter messaging registry topic"),
-    ("variable", TO_NET),
-    ("actuator", TO_NET),
-    ("port", "messaging registry component topic actuator"),
-    ("directory", TO_NET),
-    (
-        "condition",
-        "platform runtime arbiter messaging registry component topic net actuator directory",
-    ),
-    ("trees", "platform registry component host topic variable actuator condition"),
-    (
-        "service",
-        "platform runtime arbiter messaging liveness registry component host topic net directory",
-    ),
-    ("bridge", TO_NET),
-    ("device", "platform messaging component host topic variable actuator"),
-    ("process", TO_HOST),
-    ("parameters", "arbiter component variable"),
-    ("features", "platform component topic variable actuator condition service port"),
-];
-const TO_HOST: &str = "platform runtime arbiter messaging liveness registry component host";
-const TO_NET: &str =
-    "platform runtime arbiter messaging liveness registry component host topic net";
+const LAYERS: &str = "
+    platform -
+    arbiter platform
+    messaging platform arbiter
+    runtime platform arbiter messaging
+    liveness platform arbiter messaging
+    registry platform arbiter messaging
+    journal platform runtime
+    plain arbiter messaging
+    fault_chain platform runtime arbiter messaging registry
+    component platform runtime arbiter messaging liveness registry
+    host platform runtime arbiter messaging liveness registry component
+    topic platform runtime arbiter messaging liveness registry component host
+    net platform runtime arbiter messaging registry topic
+    variable platform runtime arbiter messaging liveness registry component host topic net
+    actuator platform runtime arbiter messaging liveness registry component host topic net
+    port messaging registry component topic actuator
+    directory platform runtime arbiter messaging liveness registry component host topic net
+    condition platform runtime arbiter messaging registry component topic net actuator directory
+    trees platform registry component host topic variable actuator condition
+    service platform runtime arbiter messaging liveness registry component host topic net directory
+    bridge platform runtime arbiter messaging liveness registry component host topic net
+    device platform messaging component host topic variable actuator
+    process platform runtime arbiter messaging liveness registry component host
+    parameters arbiter component variable
+    features platform component topic variable actuator condition service port";
 /// The top layer imports all others.
 const TOP: &str = "node";
 /// What every layer may name: the atomics, the table of settings, and the pages of the manual.
@@ -203,10 +193,12 @@ pub(crate) fn layers(tree: &Tree) -> Vec<Breach> {
     let mut breaches = Vec::new();
     for (module, path, line) in &modules.imports {
         let Some(folder) = module.first().filter(|folder| !is_open(folder)) else { continue };
-        let layer = LAYERS.iter().find(|(layer, _)| layer == folder);
-        let what = match (layer, modules.defining(path).first()) {
+        let below = LAYERS
+            .lines()
+            .find_map(|line| line.trim_start().strip_prefix(folder.as_str())?.strip_prefix(' '));
+        let what = match (below, modules.defining(path).first()) {
             (None, _) => format!("{folder} is no layer"),
-            (Some((_, below)), Some(from))
+            (Some(below), Some(from))
                 if from != folder
                     && !below.split(' ').any(|layer| layer == from)
                     && !EVERYWHERE.contains(&from.as_str()) =>

@@ -86,14 +86,14 @@ fn with_rules(each: impl FnMut(Rule<'_>)) {
              packages.rs",
             &[
                 r#"core/Cargo.toml: [package] <- ¶ name = "blastema-core" ¶ [dependencies]
-                ¶ serde.workspace = true ¶ blastema.workspace = true"#,
-                r#"core/doubles/Cargo.toml: [package] <- ¶ name = "blastema-doubles"
-                ¶ [dev-dependencies] ¶ blastema-transports = { workspace = true }"#,
-                r#"extras/Cargo.toml: [package] <- ¶ name = "blastema-extras""#,
+                ¶ serde.workspace = true ¶ blastema.workspace = true
+                core/doubles/Cargo.toml: [package] <- ¶ name = "blastema-doubles"
+                ¶ [dev-dependencies] ¶ blastema-transports = { workspace = true }
+                extras/Cargo.toml: [package] <- ¶ name = "blastema-extras"
+                core/lite/Cargo.toml: [package] <- ¶ name = "blastema-lite" ¶ [dependencies]
+                ¶ bytes.workspace = true"#,
                 r#"core/Cargo.toml: [package] <- ¶ name = "blastema-core"
                 ¶ [target.'cfg(unix)'.dependencies] ¶ blastema-contract.workspace = true"#,
-                r#"core/lite/Cargo.toml: [package] <- ¶ name = "blastema-lite" ¶ [dependencies]
-                ¶ bytes.workspace = true"#,
             ],
         ),
         (

@@ -3,61 +3,40 @@
 use crate::architecture::tree::{Breach, Manifest, Tree};
 
 /// The map of ARCHITECTURE.md as data, from the bottom to the top: each package, what it may depend
-/// on within the workspace, and what beside it in tests. Which package may know a crate from
-/// outside is for `deny.toml`.
-const PLACES: [(&str, &str, &str); 18] = [
-    ("blastema-macros", "", ""),
-    // It runs on a chip, where nothing else of the workspace does.
-    ("blastema-lite", "", ""),
-    // The derives are written for the core's traits, so the core's tests try them.
-    ("blastema-core", "", "blastema-macros"),
-    // Usable without the rest.
-    ("blastema-trees", "", ""),
-    ("blastema-contract", "blastema-core", ""),
-    // Its actors are tried with probes in their neighbours' places.
-    ("blastema-transports", "blastema-core blastema-contract", "blastema-doubles blastema-ptys"),
-    // Its adapters speak the core's SLCAN.
-    ("blastema-ptys", "blastema-core", ""),
-    ("blastema-doubles", "blastema-core blastema-contract", ""),
-    (
-        "blastema",
-        "blastema-core blastema-lite blastema-macros blastema-contract blastema-transports \
-         blastema-trees",
-        "blastema-doubles",
-    ),
-    (
-        "blastema-testkit",
-        "blastema-core blastema-macros blastema-contract blastema-doubles blastema",
-        "",
-    ),
-    // The program uses what every user uses, and nothing else. Its tests take turns.
-    ("blastema-cli", "blastema blastema-robot", "blastema-doubles"),
-    ("blastema-robot", "blastema", "blastema-doubles"),
-    ("blastema-demo", "blastema blastema-robot", "blastema-doubles"),
-    ("blastema-tests", EVERYTHING, ""),
-    ("blastema-bench", EVERYTHING, ""),
-    // Their nodes and contracts are those of a user.
-    ("blastema-beds", "blastema", ""),
-    ("blastema-derives", "blastema", ""),
-    (
-        "blastema-examples",
-        "blastema",
-        "blastema-doubles blastema-ptys blastema-robot blastema-testkit",
-    ),
-];
-
-/// What whole systems under test may use: all that is no program, test or example itself.
-const EVERYTHING: &str = "blastema-macros blastema-lite blastema-core blastema-trees \
-     blastema-contract blastema-transports blastema-doubles blastema-ptys blastema blastema-robot \
-     blastema-testkit";
+/// on within the workspace, and after the bar what in tests alone. Which package may know a crate
+/// from outside is for `deny.toml`.
+///
+/// A chip runs `blastema-lite`, and behaviour trees are usable without the rest. The derives are
+/// written for the core's traits, so the core's tests try them; transports and objects are tried
+/// with doubles in their neighbours' places. A program of ours, and the nodes of the beds, use what
+/// every user uses; whole systems under test use all that is no program, test or example itself.
+const PLACES: &str = "
+    macros |
+    lite |
+    core | macros
+    trees |
+    contract core |
+    transports core contract | doubles ptys
+    ptys core |
+    doubles core contract |
+    blastema core lite macros contract transports trees | doubles
+    testkit core macros contract doubles blastema |
+    robot blastema | doubles
+    cli blastema robot | doubles
+    demo blastema robot | doubles
+    tests macros lite core trees contract transports doubles ptys blastema robot testkit |
+    bench macros lite core trees contract transports doubles ptys blastema robot testkit |
+    beds blastema |
+    derives blastema |
+    examples blastema | doubles ptys robot testkit";
 
 /// All crates from outside that these packages may use. The core stays nearly bare, so that what it
 /// decides can be simulated; a chip has neither a heap nor an operating system.
 const BARE: [(&str, &str); 4] = [
-    ("blastema-core", "bincode bytes ring serde snow thiserror x25519-dalek zeroize"),
-    ("blastema-contract", "actix bytes"),
-    ("blastema-trees", "roxmltree strsim thiserror"),
-    ("blastema-lite", ""),
+    ("core", "bincode bytes ring serde snow thiserror x25519-dalek zeroize"),
+    ("contract", "actix bytes"),
+    ("trees", "roxmltree strsim thiserror"),
+    ("lite", ""),
 ];
 
 /// Workspaces of their own: one needs a nightly compiler, and the crates of the other compile for
@@ -82,7 +61,11 @@ pub(crate) fn arrows(tree: &Tree) -> Vec<Breach> {
     let mut breaches = Vec::new();
     for (manifest, package) in members(tree) {
         let mut breach = |what| breaches.push(Breach::new(&manifest.path, 1, what));
-        let Some((_, below, in_tests)) = PLACES.iter().find(|(name, ..)| *name == package) else {
+        let package = package.trim_start_matches("blastema-");
+        let mut places =
+            PLACES.lines().map(|line| line.trim_start().split_once('|').unwrap_or_default());
+        let place = places.find(|(place, _)| place.split(' ').next() == Some(package));
+        let Some((below, in_tests)) = place else {
             breach(format!("the package {package} has no place in the map"));
             continue;
         };
@@ -90,10 +73,12 @@ pub(crate) fn arrows(tree: &Tree) -> Vec<Breach> {
         for section in ["dependencies", "build-dependencies", "dev-dependencies"] {
             let of_tests = section == "dev-dependencies";
             for (needed, _) in manifest.dependencies(section) {
-                let ours = needed == "blastema" || needed.starts_with("blastema-");
-                let known = match ours {
-                    true => has(below, needed) || of_tests && has(in_tests, needed),
-                    false => of_tests || bare.is_none_or(|outside| has(outside, needed)),
+                let known = match needed.strip_prefix("blastema") {
+                    Some(rest) => {
+                        let ours = rest.strip_prefix('-').unwrap_or(needed);
+                        has(below, ours) || of_tests && has(in_tests, ours)
+                    }
+                    None => of_tests || bare.is_none_or(|outside| has(outside, needed)),
                 };
                 if !known {
                     breach(format!("{package} -> {needed} ({section})"));
