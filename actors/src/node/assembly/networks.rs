@@ -10,6 +10,7 @@ use crate::node::Shared;
 use crate::node::controller::SubscribeSafeState;
 use crate::node::error::StartError;
 use crate::node::network::description::NetworkDescription;
+use crate::node::network::start::StartedNetwork;
 use crate::node::network::{Cable, NetworkRow};
 use crate::service::{Carried, ReplicaActor, ServiceRefused};
 use actix::prelude::*;
@@ -177,7 +178,7 @@ fn make_networks(
     let silence = networks.iter().map(|network| network.medium_kind().timeout()).max();
     let silence = silence.unwrap_or_default();
     for network in networks {
-        let started = network.start(has_keys, guardian, arbiter.as_ref())?;
+        let started = StartedNetwork::start(network, has_keys, guardian, arbiter.as_ref())?;
         let beacons = started.spec.discovery.iter().map(|spec| &spec.beacons.0);
         let of_network = beacons.chain([&started.spec.transport]);
         transports.extend(of_network.map(|transport| transport.close.clone()));

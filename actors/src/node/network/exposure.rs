@@ -78,32 +78,10 @@ impl Medium {
             Medium::Unreadable(error) => error.to_string(),
         }
     }
-}
 
-impl Network {
-    /// How far its frames travel, beacons included.
-    fn reach(&self) -> Reach {
-        let reach = self.medium.reach();
-        // A group that cannot be read is refused by the check of the network.
-        let beacons = self.beacon_socket().ok().flatten();
-        beacons.map_or(reach, |beacons| reach.max(beacons.socket.reach()))
-    }
-
-    /// Returns whether its frames leave this computer: not over loopback addresses, Unix sockets
-    /// and memory.
-    pub fn leaves_computer(&self) -> bool {
-        self.reach().leaves_computer()
-    }
-
-    /// Whether other processes can be on it.
-    pub(super) fn leaves_process(&self) -> bool {
-        self.reach() != Reach::Process
-    }
-
-    /// How its frames are sealed by a node that has keys. Within a process no other program can
-    /// send.
-    pub(in crate::node) fn seal_terms(&self) -> Option<SealTerms> {
-        let (profile, forgeable_addresses) = match &self.medium {
+    /// How its frames are sealed.
+    pub(super) fn seal_terms(&self) -> SealTerms {
+        let (profile, forgeable_addresses) = match self {
             // Frames of a bus are small, and its cable is within the robot.
             Medium::At(Endpoint::Can(_) | Endpoint::Slcan(_)) => (SealProfile::Compact, false),
             // A line may be a radio.
@@ -116,12 +94,12 @@ impl Network {
             Medium::At(Endpoint::Unix(_)) => (SealProfile::Full, false),
             _ => (SealProfile::Full, true),
         };
-        self.leaves_process().then_some(SealTerms { profile, forgeable_addresses })
+        SealTerms { profile, forgeable_addresses }
     }
 
     /// The largest frame that the user has set; `None` where the medium chooses it.
     pub(super) fn set_mtu(&self) -> Option<usize> {
-        match &self.medium {
+        match self {
             #[cfg(feature = "ip")]
             Medium::At(Endpoint::Udp(config)) => config.mtu,
             #[cfg(feature = "ip")]
@@ -134,6 +112,27 @@ impl Network {
             Medium::At(Endpoint::Slcan(config)) => Some(config.node.mtu),
             _ => None,
         }
+    }
+}
+
+impl Network {
+    /// How far its frames travel, beacons included.
+    fn reach(&self) -> Reach {
+        let reach = self.medium.reach();
+        // A group that cannot be read is refused by the check of the network.
+        let beacons = self.discovery.as_ref().and_then(|discovery| discovery.beacons(self).ok());
+        beacons.map_or(reach, |beacons| reach.max(beacons.socket.reach()))
+    }
+
+    /// Returns whether its frames leave this computer: not over loopback addresses, Unix sockets
+    /// and memory.
+    pub fn leaves_computer(&self) -> bool {
+        self.reach().leaves_computer()
+    }
+
+    /// Whether other processes can be on it.
+    pub(super) fn leaves_process(&self) -> bool {
+        self.reach() != Reach::Process
     }
 
     /// The network, for display.
