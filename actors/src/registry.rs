@@ -174,6 +174,15 @@ struct Inner {
 }
 
 impl Inner {
+    /// Refuses a name that is given already.
+    fn check_free(&self, name: &ObjectName) -> Result<(), NameTaken> {
+        let known = self.objects.get(name).map(Entry::kind);
+        match known.or_else(|| self.reserved.get(name).copied()) {
+            Some(by) => Err(NameTaken { name: name.clone(), by }),
+            None => Ok(()),
+        }
+    }
+
     /// What to say of a name that no object of this node has.
     fn misspelt(&self, name: &str) -> DeliveryError {
         if let Some(why) = self.refusal() {
@@ -187,14 +196,6 @@ impl Inner {
             Some(nearest) if nearest == object => DeliveryError::Unknown { name },
             Some(nearest) => DeliveryError::Misspelt { nearest: nearest.to_owned(), name },
             None => DeliveryError::Unknown { name },
-        }
-    }
-
-    fn check_free(&self, name: &ObjectName) -> Result<(), NameTaken> {
-        let known = self.objects.get(name).map(Entry::kind);
-        match known.or_else(|| self.reserved.get(name).copied()) {
-            Some(by) => Err(NameTaken { name: name.clone(), by }),
-            None => Ok(()),
         }
     }
 
@@ -274,9 +275,12 @@ impl Registry {
         self.lock().objects.get(name).map(Entry::kind)
     }
 
-    /// Keeps these names, each with what has it, from objects that come later.
-    pub(crate) fn reserve(&self, names: impl IntoIterator<Item = (ObjectName, &'static str)>) {
-        self.lock().reserved.extend(names);
+    /// Keeps a name for an object at which nothing can be sent, of this kind.
+    pub(crate) fn reserve(&self, name: &ObjectName, kind: &'static str) -> Result<(), NameTaken> {
+        let mut inner = self.lock();
+        inner.check_free(name)?;
+        inner.reserved.insert(name.clone(), kind);
+        Ok(())
     }
 
     /// Keeps a name for a supervisor, until what is returned is dropped.
@@ -284,9 +288,7 @@ impl Registry {
         &self,
         name: &ObjectName,
     ) -> Result<ReservedName, NameTaken> {
-        let mut inner = self.lock();
-        inner.check_free(name)?;
-        inner.reserved.insert(name.clone(), "a supervisor");
+        self.reserve(name, "a supervisor")?;
         Ok(ReservedName { registry: self.downgrade(), name: name.clone() })
     }
 

@@ -1,10 +1,10 @@
 //! One fault, from its injection to the instant at which all is as before.
 //!
 //! ```text
-//! Watching ─────────────────► Settling ─► Tidying ─► Over
-//! found? repaired, if it      all that    all is up
-//! must be; service back?      was sent    that is
-//!                             has come    to be
+//! Watching ─────────────────► Settling ──────────────► Over
+//! found? repaired, if it      all that was sent has
+//! must be; service back?      come, all is up that is
+//!                             to be
 //! ```
 //!
 //! A phase that exceeds its deadline adds a problem to the row. The next phase begins nevertheless,
@@ -56,7 +56,6 @@ enum Phase {
     Striking,
     Watching,
     Settling,
-    Tidying,
     Over,
 }
 
@@ -131,25 +130,20 @@ impl FaultTrial {
                 }
             }
             Phase::Settling => {
-                let unsettled = robot.unsettled();
-                if !unsettled.is_empty() && is_late {
-                    let flows = unsettled.join(", ");
-                    self.problems.push(format!("messages did not arrive on {flows}"));
-                }
-                if unsettled.is_empty() || is_late {
-                    self.enter(Phase::Tidying, robot, now);
-                }
-            }
-            Phase::Tidying if now >= self.begun_at + LEAST => {
+                let unsettled = robot.unsettled().join(", ");
                 let missing = robot.missing(|cable| self.expects(cable));
+                if !unsettled.is_empty() && is_late {
+                    self.problems.push(format!("messages did not arrive on {unsettled}"));
+                }
                 if !missing.is_empty() && is_late {
                     self.problems.push(format!("not as before: {missing}"));
                 }
-                if missing.is_empty() || is_late {
+                let is_as_before = unsettled.is_empty() && missing.is_empty();
+                if now >= self.begun_at + LEAST && (is_as_before || is_late) {
                     self.phase = Phase::Over;
                 }
             }
-            Phase::Striking | Phase::Tidying | Phase::Over => {}
+            Phase::Striking | Phase::Over => {}
         }
         false
     }

@@ -83,7 +83,7 @@ pub struct EndpointDescription {
     pub origin: ElementOrigin,
 }
 
-/// One process of the robot.
+/// One process of the robot. Its fields are those of the element `node`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NodeDescription {
     /// The node's name, which no other node of the robot has.
@@ -149,7 +149,8 @@ pub enum ChildDescription {
     Supervisor(SupervisorDescription),
 }
 
-/// A component of a node, and the settings of its [`ChildSpec`](blastema::ChildSpec).
+/// A component of a node, and the settings of its [`ChildSpec`](blastema::ChildSpec). Its fields are
+/// those of the elements `component`, `device` and `process`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ComponentDescription {
     /// The component's name, which no other object of its node has.

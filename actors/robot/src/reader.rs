@@ -63,7 +63,7 @@ pub(crate) fn read(path: &Path, set: &[(String, String)]) -> Result<RobotReading
         path.display().to_string(),
         absolute.clone(),
         text.into(),
-        &ArgumentSource::Outer(set),
+        &ArgumentSource { given: set, is_outer: true },
     );
     let RobotReader { mut robot, sources, .. } = reader;
     make_nodes(&mut robot, &absolute, set);
@@ -86,11 +86,11 @@ fn read_text(path: &Path) -> Result<String, String> {
 }
 
 /// Where the values of a file's arguments come from, beside their defaults.
-enum ArgumentSource<'a> {
-    /// The command line, and then the environment.
-    Outer(&'a [(String, String)]),
-    /// The element `include`.
-    Include(&'a [(String, String)]),
+struct ArgumentSource<'a> {
+    /// Those of the command line, or of the element `include`.
+    given: &'a [(String, String)],
+    /// The file is the outermost one: the environment gives values too.
+    is_outer: bool,
 }
 
 struct RobotReader<'a> {
@@ -157,7 +157,7 @@ impl RobotReader<'_> {
         }
         *reading.arguments.borrow_mut() = arguments(root, set);
         let name = root.need("name", value::node_name).unwrap_or_default();
-        if let ArgumentSource::Outer(_) = set {
+        if set.is_outer {
             self.robot.name = name;
             self.robot.program = root.path("program");
             self.robot.keys = root.path("keys");
@@ -198,7 +198,10 @@ impl RobotReader<'_> {
         }
         let shown = path.strip_prefix(&self.root).unwrap_or(&path).display().to_string();
         match read_text(&path) {
-            Ok(text) => self.read_file(shown, path, text.into(), &ArgumentSource::Include(&set)),
+            Ok(text) => {
+                let set = ArgumentSource { given: &set, is_outer: false };
+                self.read_file(shown, path, text.into(), &set);
+            }
             Err(error) => wrong(format!("`{name}`: {error}"), "correct the file"),
         }
     }
@@ -240,9 +243,7 @@ type CheckValue = fn(&str) -> ParsedValue<()>;
 /// The arguments of a file with their values.
 fn arguments(root: &RobotElement<'_>, set: &ArgumentSource<'_>) -> ArgumentValues {
     let mut arguments = ArgumentValues::default();
-    let given = match set {
-        ArgumentSource::Outer(given) | ArgumentSource::Include(given) => *given,
-    };
+    let ArgumentSource { given, is_outer } = *set;
     for element in root.distinct("argument", "name") {
         let kinds: [(&str, CheckValue); 5] = [
             ("text", |_| Ok(())),
@@ -257,8 +258,7 @@ fn arguments(root: &RobotElement<'_>, set: &ArgumentSource<'_>) -> ArgumentValue
         let Some(name) = element.need("name", value::node_name) else { continue };
         let variable = format!("BLASTEMA_ARG_{}", name.to_uppercase().replace(['-', '.'], "_"));
         let told = given.iter().rev().find(|(key, _)| *key == name).map(|(_, value)| value.clone());
-        let environment =
-            || env::var(&variable).ok().filter(|_| matches!(set, ArgumentSource::Outer(_)));
+        let environment = || env::var(&variable).ok().filter(|_| is_outer);
         let value = told.or_else(environment).or(default);
         match value.map(|value| (kind.map_or(Ok(()), |check| check(&value)), value)) {
             Some((Ok(()), value)) => drop(arguments.values.insert(name, value)),
@@ -272,11 +272,9 @@ fn arguments(root: &RobotElement<'_>, set: &ArgumentSource<'_>) -> ArgumentValue
                 arguments.missing.push(name);
             }
             None => {
-                let how = match set {
-                    ArgumentSource::Outer(_) => format!("`--set {name}=…` or {variable}"),
-                    ArgumentSource::Include(_) => {
-                        format!("`<set argument=\"{name}\" value=…/>` in the `include`")
-                    }
+                let how = match is_outer {
+                    true => format!("`--set {name}=…` or {variable}"),
+                    false => format!("`<set argument=\"{name}\" value=…/>` in the `include`"),
                 };
                 let help = format!("give it by {how}, or add `default`");
                 let sentence = format!("`{name}` has no value");

@@ -200,9 +200,9 @@ impl Handler<Register> for DetectionActor {
     type Result = Result<Confirmed, RegistrationError>;
 
     fn handle(&mut self, message: Register, context: &mut Context<Self>) -> Self::Result {
-        let Register { enrolment, pings } = message;
-        let object = enrolment.object.clone();
-        self.machine.monitor.enrol(enrolment, platform::now())?;
+        let Register { registration, pings } = message;
+        let object = registration.object.clone();
+        self.machine.monitor.enrol(registration, platform::now())?;
         if let Some(pings) = pings
             && self.pings.insert(object.clone(), pings.clone()).is_none()
         {

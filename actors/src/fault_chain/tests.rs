@@ -65,8 +65,8 @@ impl Chain {
         Chain { actor, recoverer, deaths, events }
     }
 
-    fn enrol(&self, enrolment: Registration) {
-        self.actor.do_send(Register { enrolment, pings: None });
+    fn register(&self, registration: Registration) {
+        self.actor.do_send(Register { registration, pings: None });
     }
 
     fn silence(&self, name: &str) {
@@ -107,9 +107,9 @@ fn a_panic_reaches_the_recoverer_without_any_time_passing() {
 fn one_that_never_answers_is_asked_once_and_found_silent() {
     paused(async {
         let chain = Chain::start();
-        let enrolment = Registration::new(object("arm"));
+        let registration = Registration::new(object("arm"));
         let pings = Some(Mute(0).start().recipient());
-        chain.actor.do_send(Register { enrolment, pings });
+        chain.actor.do_send(Register { registration, pings });
 
         advance(Duration::from_millis(5500)).await;
         assert_eq!(chain.recoverer.recorded(), 0);
@@ -123,9 +123,9 @@ fn one_that_never_answers_is_asked_once_and_found_silent() {
 fn one_that_does_not_answer_while_the_node_starves_has_five_times_as_long() {
     paused(async {
         let chain = Chain::start();
-        let enrolment = Registration::new(object("arm"));
+        let registration = Registration::new(object("arm"));
         let pings = Some(Mute(0).start().recipient());
-        chain.actor.do_send(Register { enrolment, pings });
+        chain.actor.do_send(Register { registration, pings });
         settle().await;
         let starve = async |intervals: u32| {
             for _ in 0..intervals {
@@ -146,9 +146,9 @@ fn one_that_does_not_answer_while_the_node_starves_has_five_times_as_long() {
 fn a_stall_of_the_whole_process_condemns_nobody() {
     paused(async {
         let chain = Chain::start();
-        let enrolment = Registration::new(object("arm"));
+        let registration = Registration::new(object("arm"));
         let pings = Some(Mute(0).start().recipient());
-        chain.actor.do_send(Register { enrolment, pings });
+        chain.actor.do_send(Register { registration, pings });
         settle().await;
 
         // The clock jumps: every timer is late at once, before anything can answer.
@@ -185,7 +185,7 @@ fn a_recoverer_that_cannot_be_reached_gets_the_fault_when_it_is_back() {
 fn the_chain_survives_being_struck_with_all_it_knew() {
     paused(async {
         let chain = Chain::start();
-        chain.enrol(Registration::new(object("arm")));
+        chain.register(Registration::new(object("arm")));
         chain.actor.do_send(StateReported {
             object: object("arm"),
             incarnation: ONE,

@@ -9,9 +9,9 @@ pub(super) use self::chain::FaultChain;
 pub(super) use self::networks::Networks;
 
 use self::chain::{callbacks_of, make_chain, reports};
-use super::builder::{ActorPlacement, Configuration, NodeBuilder};
+use super::builder::{ActorPlacement, Configuration, FaultDescription, NodeBuilder};
 use super::changes::KeptTree;
-use super::checks::{check_names, check_settings, dependencies};
+use super::checks::{check_settings, dependencies};
 use super::controller::{NodeState, StartRoot};
 use super::error::{PolicyPart, StartError};
 #[cfg(feature = "unix")]
@@ -30,7 +30,6 @@ use crate::component::environment::ComponentEnvironment;
 use crate::component::spec_error::SpecError;
 use crate::condition::{ConditionWiring, Conditions};
 use crate::directory::DirectoryTable;
-use crate::fault_chain::strategy::StrategyTable;
 use crate::fault_chain::supervisor::SupervisorChild;
 use crate::liveness::sampler;
 use crate::parameters::Configured;
@@ -158,7 +157,7 @@ impl NodeBuilder {
     /// Finds what can be known to be wrong with the networks, and with commanders on them.
     fn check_networks(&mut self, node: &NodeName) -> Result<(), Vec<StartError>> {
         self.networks.check(node)?;
-        for policy in &self.policies {
+        for policy in &self.faults.policies {
             // One that is this node is refused with the policies.
             let other = policy.commander_node()?.filter(|commander| commander != node);
             let Some(commander) = other else { continue };
@@ -175,14 +174,15 @@ fn check(mut builder: NodeBuilder, refused: &mut Vec<StartError>) -> Result<(), 
     let node = builder.checked_name()?;
     refused.extend(builder.check_networks(&node).err().into_iter().flatten());
     // The chain is made for the names of its objects alone.
-    builder.placement = ActorPlacement::Here;
+    builder.process.placement = ActorPlacement::Here;
     let assembly = NodeAssembly::begin(&mut builder, (node, Incarnation::FIRST))?;
-    assembly.read_parameters(builder.parameters)?;
+    assembly.read_parameters(builder.files.parameters)?;
+    let policies = &builder.faults.policies;
     // Its actuators are there as long as it is.
-    let _preparation = assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies)?;
-    refused.extend(assembly.check_parameters(&builder.policies).err());
-    refused.extend(assembly.connect_ports(&builder.policies, &builder.connections));
-    refused.extend(assembly.wrong_policies(&builder.policies));
+    let _preparation = assembly.prepare(builder.root, &builder.faults)?;
+    refused.extend(assembly.check_parameters(policies).err());
+    refused.extend(assembly.connect_ports(policies, &builder.connections));
+    refused.extend(assembly.wrong_policies(policies));
     Ok(())
 }
 
@@ -196,27 +196,31 @@ async fn start(
     let node = builder.checked_name().map_err(first)?;
     builder.check_networks(&node).map_err(first)?;
     check_settings(&builder).into_iter().next().map_or(Ok(()), Err)?;
-    if builder.locks_memory && !platform::clock_stands() {
+    if builder.process.locks_memory && !platform::clock_stands() {
         scheduling::lock_memory()?;
     }
     let incarnation = builder.networks.begin_incarnation();
     let mut assembly = NodeAssembly::begin(&mut builder, (node, incarnation))?;
     #[cfg(feature = "journal")]
-    assembly.keep_journal(builder.journal).await?;
-    assembly.keep_variables(builder.kept_in).await?;
-    assembly.read_parameters(builder.parameters)?;
+    assembly.keep_journal(builder.files.journal).await?;
+    assembly.keep_variables(builder.files.variables).await?;
+    assembly.read_parameters(builder.files.parameters)?;
     assembly.start_networks(&mut builder.networks)?;
-    let preparation = assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies);
+    assembly.keep_leases()?;
+    assembly.keep_conditions()?;
+    #[cfg(feature = "unix")]
+    let shown_at = builder.files.inspection_socket.as_deref();
+    #[cfg(feature = "unix")]
+    let inspection = assembly.make_inspection(shown_at).await?;
+    let preparation = assembly.prepare(builder.root, &builder.faults);
     let (root, tree, dependencies) = preparation.map_err(first)?;
     assembly.node.tree.root = Some(root.tree());
     assembly.node.tree.dependencies = Mutex::new(dependencies);
-    assembly.check_parameters(&builder.policies)?;
-    let mut refused = assembly.connect_ports(&builder.policies, &builder.connections);
+    assembly.check_parameters(&builder.faults.policies)?;
+    let mut refused = assembly.connect_ports(&builder.faults.policies, &builder.connections);
     refused.next().map_or(Ok(()), Err)?;
     drop(refused);
     assembly.carry_services(builder.networks.services)?;
-    assembly.keep_leases();
-    assembly.keep_conditions();
     #[cfg(feature = "trees")]
     let _ = assembly
         .node
@@ -224,22 +228,20 @@ async fn start(
         .feature::<TreeTable>()
         .record
         .set(assembly.node.chain.monitor.clone().recipient());
-    assembly.keep_policies(builder.policies)?;
-    #[cfg(feature = "unix")]
-    let inspection = assembly.make_inspection(builder.shown_at.as_deref()).await;
-    assembly.enrol_all(tree).await?;
+    assembly.keep_policies(builder.faults.policies)?;
+    assembly.register_all(&tree).await?;
     assembly.declare_insecure_networks();
-    assembly.start_sampler(builder.grace)?;
-    assembly.watch_chain(builder.process_watchdogs)?;
+    assembly.start_sampler(builder.process.grace)?;
+    assembly.watch_chain(builder.process.watchdogs)?;
     let node = assembly.into_node();
     #[cfg(feature = "unix")]
     if let Some(inspection) = inspection {
         // The fault chain's mailboxes close only when the node has ended.
         let shown = inspection.send(StartInspection::node(&node)).await.unwrap_or(Ok(()));
-        let path = builder.shown_at.as_deref().unwrap_or(Path::new(""));
+        let path = shown_at.unwrap_or(Path::new(""));
         shown.map_err(|why| StartError::of_path("inspection_socket", path, why))?;
     }
-    if builder.handles_signals {
+    if builder.process.handles_signals {
         node.0.apply_safe_outputs_on_signals()?;
     }
     start_root(node, root, end).await
@@ -251,8 +253,11 @@ struct NodeAssembly {
     node: Shared,
     placement: ActorPlacement,
     /// All that is to be watched.
-    enrolments: Vec<Register>,
+    registrations: Vec<Register>,
 }
+
+/// An object of the middleware: its name, and where it answers the monitor, if it is asked.
+type KeptObject = (ObjectName, Option<Recipient<AreYouAlive>>);
 
 /// The root, what is in the tree, and what depends on what.
 type TreePreparation = (SupervisorChild, PreparedTree, Dependencies);
@@ -263,15 +268,15 @@ impl NodeAssembly {
         builder: &mut NodeBuilder,
         (node, incarnation): (NodeName, Incarnation),
     ) -> Result<Self, StartError> {
-        let arbiters = match builder.placement {
+        let arbiters = match builder.process.placement {
             ActorPlacement::Threads { shared } => ArbiterPool::pool(shared),
             ActorPlacement::ComponentsHere | ActorPlacement::Here => ArbiterPool::here(),
         };
         let (chain, registry, actuators) = make_chain(builder, (&node, incarnation), &arbiters)?;
-        for listener in builder.listeners.drain(..) {
+        for listener in builder.faults.listeners.drain(..) {
             listener.listen(&chain.monitor);
         }
-        let plan = std::mem::take(&mut builder.plan);
+        let plan = std::mem::take(&mut builder.faults.plan);
         // Its own objects may be named in full, with or without a network.
         registry.set_node(node.clone());
         let environment = ComponentEnvironment::new(arbiters, reports(&chain.monitor));
@@ -296,8 +301,25 @@ impl NodeAssembly {
             last_record: OnceLock::new(),
             held: Vec::new(),
         };
-        let (placement, enrolments) = (builder.placement, callbacks_of(builder));
-        Ok(NodeAssembly { node, placement, enrolments })
+        let (placement, registrations) = (builder.process.placement, Vec::new());
+        let mut assembly = NodeAssembly { node, placement, registrations };
+        let callbacks = callbacks_of(&builder.faults).into_iter().map(|name| (name, None));
+        let chain = assembly.node.chain.pings().into_iter();
+        let chain = chain.map(|(name, pings)| (name, Some(pings)));
+        callbacks.chain(chain).try_for_each(|(name, pings)| assembly.keep(name, pings))?;
+        Ok(assembly)
+    }
+
+    /// Keeps a name for an object of the middleware, which is watched as soon as all are there.
+    fn keep(
+        &mut self,
+        name: ObjectName,
+        pings: Option<Recipient<AreYouAlive>>,
+    ) -> Result<(), StartError> {
+        let reserved = self.node.environment.registry.reserve(&name, "an object of the middleware");
+        reserved.map_err(SpecError::from)?;
+        self.registrations.push(middleware(name, pings));
+        Ok(())
     }
 
     async fn keep_variables(&mut self, file: Option<PathBuf>) -> Result<(), StartError> {
@@ -322,8 +344,7 @@ impl NodeAssembly {
         self.node.held.push(path.clone());
         let kept = self.node.environment.feature::<VariableStore>().keep_in(path, lock, failed);
         kept.map_err(|error| StartError::of_path("keep_variables", &file, error.to_string()))?;
-        self.enrolments.push(middleware(named(KEPT_VARIABLES), None));
-        Ok(())
+        self.keep(named(KEPT_VARIABLES), None)
     }
 
     fn read_parameters(&self, configurations: Vec<Configuration>) -> Result<(), StartError> {
@@ -357,8 +378,7 @@ impl NodeAssembly {
     fn prepare(
         &self,
         root: SupervisorSpec,
-        own_kinds: &[FaultKind],
-        strategies: &StrategyTable,
+        faults: &FaultDescription,
     ) -> Result<TreePreparation, Vec<StartError>> {
         let mut tree = PreparedTree::default();
         let root = root.prepare(&self.node.tree_environment(false), &mut tree);
@@ -367,21 +387,22 @@ impl NodeAssembly {
             return Err(tree.refused.into_iter().map(StartError::from).collect());
         }
         let names: Vec<&ObjectName> = tree.components.iter().map(|facts| &facts.name).collect();
-        let answered = self.node.tree.plan.check(names, own_kinds, strategies.names());
+        let (kinds, strategies) = (&faults.own_kinds, faults.strategies.names());
+        let answered = self.node.tree.plan.check(names, kinds, strategies);
         answered.map_err(StartError::from)?;
         let dependencies = dependencies(&self.node.name, &tree);
         dependencies.check().map_err(StartError::from)?;
         Ok((root, tree, dependencies))
     }
 
-    fn keep_leases(&mut self) {
+    fn keep_leases(&mut self) -> Result<(), StartError> {
         let (name, Shared { chain, environment, .. }) = (named("leases"), &self.node);
         let actuators = environment.feature::<ActuatorTable>();
         let leases = actuators.start(name.clone(), &chain.guardian, chain.arbiter.as_ref());
-        self.enrolments.push(middleware(name, Some(leases)));
+        self.keep(name, Some(leases))
     }
 
-    fn keep_conditions(&mut self) {
+    fn keep_conditions(&mut self) -> Result<(), StartError> {
         let (name, Shared { chain, environment, .. }) = (named("conditions"), &self.node);
         let (net, timeout) = match &self.node.networks {
             Some(networks) => (Some(networks.handle.clone()), Some(networks.silence)),
@@ -398,13 +419,9 @@ impl NodeAssembly {
             timeout,
         };
         let arbiter = chain.arbiter.as_ref();
-        let pings = environment.feature::<Conditions>().start(
-            wiring,
-            name.clone(),
-            &chain.guardian,
-            arbiter,
-        );
-        self.enrolments.push(middleware(name, Some(pings)));
+        let conditions = environment.feature::<Conditions>();
+        let pings = conditions.start(wiring, name.clone(), &chain.guardian, arbiter);
+        self.keep(name, Some(pings))
     }
 
     fn keep_policies(&mut self, policies: Vec<LostCommunicationPolicy>) -> Result<(), StartError> {
@@ -445,8 +462,11 @@ impl NodeAssembly {
 
     /// It is opened when there is something to be seen.
     #[cfg(feature = "unix")]
-    async fn make_inspection(&mut self, path: Option<&Path>) -> Option<Addr<InspectionActor>> {
-        let path = path?.to_owned();
+    async fn make_inspection(
+        &mut self,
+        path: Option<&Path>,
+    ) -> Result<Option<Addr<InspectionActor>>, StartError> {
+        let Some(path) = path.map(Path::to_owned) else { return Ok(None) };
         released_here(&path, PREDECESSOR_TIMEOUT).await;
         self.node.held.push(path.clone());
         let (name, chain) = (named("inspection"), &self.node.chain);
@@ -457,35 +477,15 @@ impl NodeAssembly {
             chain.arbiter.as_ref(),
             |_: &mut Context<InspectionActor>| inspection,
         );
-        self.enrolments.push(middleware(name, Some(inspection.clone().recipient())));
-        Some(inspection)
+        self.keep(name, Some(inspection.clone().recipient()))?;
+        Ok(Some(inspection))
     }
 
     /// From here on everything is watched.
-    async fn enrol_all(&mut self, tree: PreparedTree) -> Result<(), StartError> {
-        let mut enrolments = std::mem::take(&mut self.enrolments);
-        let chain = self.node.chain.pings().into_iter();
-        enrolments.extend(chain.map(|(name, pings)| middleware(name, Some(pings))));
-        let registry = &self.node.environment.registry;
-        // A component that has the name of such an object is what is found below.
-        let service = |name| registry.kind_of(name).filter(|kind| *kind != "a component");
-        let kind = |name| service(name).unwrap_or("an object of the middleware");
-        let names = enrolments.iter().map(|enrol| &enrol.enrolment.object);
-        let mut others: Vec<_> = names.map(|name| (name.clone(), kind(name))).collect();
-        for (name, pings) in tree.supervisors.iter().cloned() {
-            others.push((name.clone(), "a supervisor"));
-            enrolments.push(middleware(name, Some(pings)));
-        }
-        let components = tree.components.iter().map(|facts| (&facts.name, "a component"));
-        let known = others.iter().map(|(name, kind)| (name, *kind));
-        check_names(known.chain(components)).map_err(SpecError::from)?;
-        // Nor will those be called so that are added later.
-        registry.reserve(others);
-        for facts in &tree.components {
-            let of = format!("what {} depends on", facts.name);
-            enrolments.push(enrolment(&self.node.name, facts).map_err(StartError::name_of(of))?);
-        }
-        self.node.chain.enrol_all(enrolments).await
+    async fn register_all(&mut self, tree: &PreparedTree) -> Result<(), StartError> {
+        let mut all = std::mem::take(&mut self.registrations);
+        all.extend(registrations(&self.node.name, tree)?);
+        Ok(self.node.chain.register_all(all).await?)
     }
 
     /// Looks at arbiters and components from now on, also while they are stuck.
@@ -575,7 +575,18 @@ pub(crate) fn with_features(
     ComponentEnvironment { features, ..environment }
 }
 
-fn enrolment(node: &NodeName, facts: &ComponentFacts) -> Result<Register, NameError> {
+/// How supervisors and components are watched.
+fn registrations(node: &NodeName, tree: &PreparedTree) -> Result<Vec<Register>, StartError> {
+    let supervisors = tree.supervisors.iter().cloned();
+    let supervisors = supervisors.map(|(name, pings)| Ok(middleware(name, Some(pings))));
+    let components = tree.components.iter().map(|facts| {
+        let of = format!("what {} depends on", facts.name);
+        registration(node, facts).map_err(StartError::name_of(of))
+    });
+    supervisors.chain(components).collect()
+}
+
+fn registration(node: &NodeName, facts: &ComponentFacts) -> Result<Register, NameError> {
     let ComponentFacts { name, depends_on, restart } = facts;
     let address = |text: &String| match text.contains(':') {
         true => text.parse(),
@@ -586,17 +597,17 @@ fn enrolment(node: &NodeName, facts: &ComponentFacts) -> Result<Register, NameEr
     // A component's signs of life are activity records, which the sampler reads: no message is sent
     // for them.
     let unborn = Incarnation::default();
-    let mut enrolment = Registration::new(name.clone()).depends_on(depends_on);
-    (enrolment.incarnation, enrolment.may_end) = (unborn, *restart != Restart::Permanent);
-    Ok(Register { enrolment, pings: None })
+    let mut registration = Registration::new(name.clone()).depends_on(depends_on);
+    (registration.incarnation, registration.may_end) = (unborn, *restart != Restart::Permanent);
+    Ok(Register { registration, pings: None })
 }
 
 /// An object of the middleware. That it does not answer for six seconds, or thirty where the node
 /// starves, ends in the node's safe state.
 fn middleware(name: ObjectName, pings: Option<Recipient<AreYouAlive>>) -> Register {
-    let mut enrolment = Registration::new(name);
-    enrolment.kind = ObjectKind::Middleware;
-    Register { enrolment, pings }
+    let mut registration = Registration::new(name);
+    registration.kind = ObjectKind::Middleware;
+    Register { registration, pings }
 }
 
 fn named(name: &str) -> ObjectName {

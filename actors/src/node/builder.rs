@@ -12,13 +12,15 @@ use crate::component::Component;
 use crate::fault_chain::strategy::{ApplyOutputs, RecoveryStrategy, StrategyTable};
 use crate::host::spec::ChildSpec;
 use crate::liveness::sampler::{Running, SampledComponents};
+use crate::platform::own_arbiter;
 use crate::settings::{CALLBACK_LIMIT, GRACE};
+use actix::ArbiterHandle;
 use blastema_core::recovery::{Plan, Restart, Strategy, WhenExceeded};
 use blastema_core::{Fault, FaultKind};
-use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
+use std::{fmt, io};
 use tokio::sync::watch;
 
 /// Where the values of parameters stand.
@@ -38,35 +40,65 @@ pub(super) enum ActorPlacement {
     Here,
 }
 
+impl ActorPlacement {
+    /// A thread for actors of the middleware, unless all actors live on the thread that starts the
+    /// node.
+    pub(super) fn own_arbiter(self) -> io::Result<Option<ArbiterHandle>> {
+        match self {
+            ActorPlacement::Here => Ok(None),
+            ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => {
+                own_arbiter().map(Some)
+            }
+        }
+    }
+}
+
+/// What is done about faults.
+#[derive(Default)]
+pub(super) struct FaultDescription {
+    pub(super) plan: Plan,
+    pub(super) own_kinds: Vec<FaultKind>,
+    pub(super) strategies: StrategyTable,
+    /// A strategy whose name was given to another one before.
+    pub(super) strategy_twice: Option<String>,
+    pub(super) safe_outputs: Option<ApplyOutputs>,
+    pub(super) callback_limit: Duration,
+    pub(super) policies: Vec<LostCommunicationPolicy>,
+    pub(super) listeners: Vec<FaultListener>,
+}
+
+/// How the process of a node runs.
+pub(super) struct ProcessDescription {
+    pub(super) placement: ActorPlacement,
+    pub(super) grace: Duration,
+    pub(super) locks_memory: bool,
+    pub(super) handles_signals: bool,
+    pub(super) watchdogs: ProcessWatchdogs,
+}
+
+/// The files and the socket of a node.
+#[derive(Default)]
+pub(super) struct FileDescription {
+    pub(super) variables: Option<PathBuf>,
+    pub(super) parameters: Vec<Configuration>,
+    #[cfg(feature = "unix")]
+    pub(super) inspection_socket: Option<PathBuf>,
+    #[cfg(feature = "journal")]
+    pub(super) journal: Option<PathBuf>,
+}
+
 /// Describes a node. Nothing happens before [`start`](NodeBuilder::start).
 #[must_use = "a node lives only after start()"]
 pub struct NodeBuilder {
     pub(super) name: String,
     pub(super) root: SupervisorSpec,
-    pub(super) plan: Plan,
-    pub(super) own_kinds: Vec<FaultKind>,
-    pub(super) strategies: StrategyTable,
-    pub(super) safe_outputs: Option<ApplyOutputs>,
-    pub(super) placement: ActorPlacement,
-    pub(super) grace: Duration,
-    pub(super) locks_memory: bool,
-    pub(super) callback_limit: Duration,
-    pub(super) process_watchdogs: ProcessWatchdogs,
-    pub(super) handles_signals: bool,
-    pub(super) networks: NetworkDescription,
-    pub(super) policies: Vec<LostCommunicationPolicy>,
-    pub(super) listeners: Vec<FaultListener>,
-    pub(super) state: watch::Sender<NodeState>,
-    pub(super) kept_in: Option<PathBuf>,
-    pub(super) parameters: Vec<Configuration>,
     pub(super) connections: Vec<(String, String)>,
+    pub(super) faults: FaultDescription,
+    pub(super) process: ProcessDescription,
+    pub(super) files: FileDescription,
+    pub(super) networks: NetworkDescription,
+    pub(super) state: watch::Sender<NodeState>,
     pub(super) watch_list: SampledComponents,
-    #[cfg(feature = "unix")]
-    pub(super) shown_at: Option<PathBuf>,
-    #[cfg(feature = "journal")]
-    pub(super) journal: Option<PathBuf>,
-    /// A strategy whose name was given to another one before.
-    pub(super) strategy_twice: Option<String>,
 }
 
 impl fmt::Debug for NodeBuilder {
@@ -81,29 +113,22 @@ impl NodeBuilder {
         NodeBuilder {
             name: name.to_owned(),
             root: SupervisorSpec::new("", Strategy::OneForOne).rooted(),
-            plan: Plan::default(),
-            own_kinds: Vec::new(),
-            strategies: StrategyTable::default(),
-            safe_outputs: None,
-            placement: ActorPlacement::Threads { shared: cores },
-            grace: GRACE.default,
-            locks_memory: false,
-            callback_limit: CALLBACK_LIMIT.default,
-            process_watchdogs: ProcessWatchdogs::default(),
-            handles_signals: true,
-            networks: NetworkDescription::default(),
-            policies: Vec::new(),
-            listeners: Vec::new(),
-            state: watch::channel(NodeState::Starting).0,
-            kept_in: None,
-            parameters: Vec::new(),
             connections: Vec::new(),
+            faults: FaultDescription {
+                callback_limit: CALLBACK_LIMIT.default,
+                ..FaultDescription::default()
+            },
+            process: ProcessDescription {
+                placement: ActorPlacement::Threads { shared: cores },
+                grace: GRACE.default,
+                locks_memory: false,
+                handles_signals: true,
+                watchdogs: ProcessWatchdogs::default(),
+            },
+            files: FileDescription::default(),
+            networks: NetworkDescription::default(),
+            state: watch::Sender::new(NodeState::Starting),
             watch_list: SampledComponents::default(),
-            #[cfg(feature = "unix")]
-            shown_at: None,
-            #[cfg(feature = "journal")]
-            journal: None,
-            strategy_twice: None,
         }
     }
 
@@ -154,7 +179,7 @@ impl NodeBuilder {
     /// when it is on the disk. A file that is damaged is set aside and becomes a fault. A path that
     /// is not absolute, or at which another node keeps its variables, is refused at start.
     pub fn keep_variables(mut self, file: impl Into<PathBuf>) -> Self {
-        self.kept_in = Some(file.into());
+        self.files.variables = Some(file.into());
         self
     }
 
@@ -162,14 +187,14 @@ impl NodeBuilder {
     /// The file is TOML, with one table for each component: `[arm]`, `["arm/left"]`. Of several
     /// files, the later ones prevail. The path is absolute; any other is refused at start.
     pub fn parameters_from(mut self, file: impl Into<PathBuf>) -> Self {
-        self.parameters.push(Configuration::File(file.into()));
+        self.files.parameters.push(Configuration::File(file.into()));
         self
     }
 
     /// Takes the parameters of components from this text, written as in a
     /// [file](NodeBuilder::parameters_from).
     pub fn parameters(mut self, toml: &str) -> Self {
-        self.parameters.push(Configuration::Text(toml.to_owned()));
+        self.files.parameters.push(Configuration::Text(toml.to_owned()));
         self
     }
 
@@ -181,7 +206,7 @@ impl NodeBuilder {
     /// The path is absolute; any other is refused at start, as is one that cannot be listened at.
     #[cfg(feature = "unix")]
     pub fn inspection_socket(mut self, path: impl Into<PathBuf>) -> Self {
-        self.shown_at = Some(path.into());
+        self.files.inspection_socket = Some(path.into());
         self
     }
 
@@ -195,7 +220,7 @@ impl NodeBuilder {
     /// refused at start.
     #[cfg(feature = "journal")]
     pub fn journal(mut self, path: impl Into<PathBuf>) -> Self {
-        self.journal = Some(path.into());
+        self.files.journal = Some(path.into());
         self
     }
 
@@ -212,7 +237,7 @@ impl NodeBuilder {
 
     /// Sets the recovery plan. The default plan covers every built-in kind of fault.
     pub fn plan(mut self, plan: Plan) -> Self {
-        self.plan = plan;
+        self.faults.plan = plan;
         self
     }
 
@@ -220,14 +245,14 @@ impl NodeBuilder {
     /// [`start`](NodeBuilder::start): rungs rise in time, the last one is a command, and actuators
     /// are this node's.
     pub fn lost_communication(mut self, policy: LostCommunicationPolicy) -> Self {
-        self.policies.push(policy);
+        self.faults.policies.push(policy);
         self
     }
 
     /// Declares a kind of fault of the application's own; the plan must answer it, and its code is
     /// no other kind's.
     pub fn fault_kind(mut self, code: &str) -> Self {
-        self.own_kinds.push(FaultKind::Custom(code.into()));
+        self.faults.own_kinds.push(FaultKind::Custom(code.into()));
         self
     }
 
@@ -238,10 +263,10 @@ impl NodeBuilder {
         name: &str,
         make: impl Fn() -> S + Send + Sync + 'static,
     ) -> Self {
-        if self.strategies.names().any(|known| known == name) {
-            self.strategy_twice.get_or_insert(name.to_owned());
+        if self.faults.strategies.names().any(|known| known == name) {
+            self.faults.strategy_twice.get_or_insert(name.to_owned());
         }
-        self.strategies.hand_over(name, make);
+        self.faults.strategies.hand_over(name, make);
         self
     }
 
@@ -254,7 +279,7 @@ impl NodeBuilder {
     /// It is called too when the node is dropped while it runs, and for SIGTERM, SIGINT and SIGHUP
     /// unless [`without_signal_handling`](NodeBuilder::without_signal_handling) is given.
     pub fn safe_outputs(mut self, apply: impl Fn(&Fault) + Send + Sync + 'static) -> Self {
-        self.safe_outputs = Some(Arc::new(apply));
+        self.faults.safe_outputs = Some(Arc::new(apply));
         self
     }
 
@@ -265,7 +290,7 @@ impl NodeBuilder {
     /// [abandoned](crate::Node::abandoned_threads), and the fault chain goes on. Shorter goes on
     /// sooner, and blames code that was merely slow.
     pub fn callback_limit(mut self, limit: Duration) -> Self {
-        self.callback_limit = limit;
+        self.faults.callback_limit = limit;
         self
     }
 
@@ -283,7 +308,7 @@ impl NodeBuilder {
     /// Restart=always
     /// ```
     pub fn notify_systemd(mut self) -> Self {
-        self.process_watchdogs.systemd = true;
+        self.process.watchdogs.systemd = true;
         self
     }
 
@@ -295,7 +320,7 @@ impl NodeBuilder {
     /// The path is absolute; any other is refused at start, as is a device that cannot be opened or
     /// is no watchdog. A regular file or a pipe takes the place of the device in a test.
     pub fn watchdog_device(mut self, path: impl Into<PathBuf>) -> Self {
-        self.process_watchdogs.device = Some(path.into());
+        self.process.watchdogs.device = Some(path.into());
         self
     }
 
@@ -306,13 +331,13 @@ impl NodeBuilder {
     /// [`Node::run_until_signal`](crate::Node::run_until_signal) waits, it shuts the node down
     /// instead.
     pub fn without_signal_handling(mut self) -> Self {
-        self.handles_signals = false;
+        self.process.handles_signals = false;
         self
     }
 
     /// Sets the number of arbiters that components share: 1 to 1024, one per core by default.
     pub fn work_threads(mut self, shared: usize) -> Self {
-        self.placement = ActorPlacement::Threads { shared };
+        self.process.placement = ActorPlacement::Threads { shared };
         self
     }
 
@@ -324,7 +349,7 @@ impl NodeBuilder {
     /// `/etc/security/limits.conf`, `LimitMEMLOCK=infinity` of a systemd service, or CAP_IPC_LOCK.
     /// Without effect in virtual time.
     pub fn locked_memory(mut self) -> Self {
-        self.locks_memory = true;
+        self.process.locks_memory = true;
         self
     }
 
@@ -334,21 +359,21 @@ impl NodeBuilder {
     /// How long a handler that was found hanging still has to return before its neighbours on the
     /// same arbiter are re-created elsewhere; an hour at most.
     pub fn grace(mut self, grace: Duration) -> Self {
-        self.grace = grace;
+        self.process.grace = grace;
         self
     }
 
     /// Runs the components on the thread that starts the node, beside other tasks of that thread; a
     /// component that hangs takes them along.
     pub fn components_on_this_thread(mut self) -> Self {
-        self.placement = ActorPlacement::ComponentsHere;
+        self.process.placement = ActorPlacement::ComponentsHere;
         self
     }
 
     /// Runs everything on the thread that starts the node and under its clock: for tests in virtual
     /// time. A component that hangs cannot be recovered there.
     pub fn on_this_thread(mut self) -> Self {
-        self.placement = ActorPlacement::Here;
+        self.process.placement = ActorPlacement::Here;
         self
     }
 
@@ -384,7 +409,7 @@ impl NodeBuilder {
     /// ```
     pub fn fault_events(&mut self) -> FaultEvents {
         let (events, listener) = FaultEvents::open(self.state.subscribe());
-        self.listeners.push(listener);
+        self.faults.listeners.push(listener);
         events
     }
 }

@@ -293,7 +293,7 @@ impl Node {
         tree: PreparedTree,
     ) -> Result<ObjectName, SpecError> {
         let name = addition.child.name().clone();
-        self.0.chain.enrol(&self.0.name, &tree).await;
+        self.0.chain.register(&self.0.name, &tree).await;
         let added = supervisor.add.send(addition).await;
         // The parent may have been removed meanwhile, and this with it.
         let stays = lock(&self.0.tree.dependencies).has(&parent);

@@ -4,11 +4,9 @@ use super::builder::{ActorPlacement, Configuration, NodeBuilder};
 use super::error::StartError;
 use super::tree::PreparedTree;
 use super::watchdogs::ProcessWatchdogs;
-use crate::registry::NameTaken;
 use crate::settings::{CALLBACK_LIMIT, GRACE, WORK_THREADS};
+use blastema_core::NodeName;
 use blastema_core::detection::dependencies::Dependencies;
-use blastema_core::sorted::SortedMap;
-use blastema_core::{NodeName, ObjectName};
 #[cfg(feature = "unix")]
 use blastema_transports::endpoint::check_socket_path;
 use std::path::Path;
@@ -25,35 +23,41 @@ pub(super) fn dependencies(node: &NodeName, tree: &PreparedTree) -> Dependencies
 
 /// Finds every number and name of the node's own that makes no sense.
 pub(super) fn check_settings(builder: &NodeBuilder) -> Vec<StartError> {
-    let threads = match builder.placement {
+    let threads = match builder.process.placement {
         ActorPlacement::Threads { shared } => WORK_THREADS.check(shared),
         ActorPlacement::ComponentsHere | ActorPlacement::Here => Ok(()),
     };
-    let strategies = builder.strategy_twice.as_ref().map_or(Ok(()), |name| {
+    let strategies = builder.faults.strategy_twice.as_ref().map_or(Ok(()), |name| {
         let (value, cure) = (format!("{name:?} twice"), "hand over one strategy of a name".into());
         Err(StartError::Setting { setting: "recovery", value, cure })
     });
     let mut checks = vec![
         threads.map_err(StartError::from),
-        GRACE.check(builder.grace).map_err(StartError::from),
-        CALLBACK_LIMIT.check(builder.callback_limit).map_err(StartError::from),
+        GRACE.check(builder.process.grace).map_err(StartError::from),
+        CALLBACK_LIMIT.check(builder.faults.callback_limit).map_err(StartError::from),
         check_watchdogs(builder),
         strategies,
-        check_path("keep_variables", builder.kept_in.as_deref(), check_file),
+        check_path("keep_variables", builder.files.variables.as_deref(), check_file),
     ];
-    checks.extend(builder.parameters.iter().map(check_configuration));
+    checks.extend(builder.files.parameters.iter().map(check_configuration));
     #[cfg(feature = "journal")]
-    checks.push(check_path("journal", builder.journal.as_deref(), check_file));
+    checks.push(check_path("journal", builder.files.journal.as_deref(), check_file));
     #[cfg(feature = "unix")]
-    checks.push(check_path("inspection_socket", builder.shown_at.as_deref(), check_socket));
+    checks.push(check_path(
+        "inspection_socket",
+        builder.files.inspection_socket.as_deref(),
+        check_socket,
+    ));
     checks.into_iter().filter_map(Result::err).collect()
 }
 
 /// The watchdogs of the process can depend on the fault chain, and lie where they are said to lie.
 fn check_watchdogs(builder: &NodeBuilder) -> Result<(), StartError> {
     let wrong = |reason: String| Err(StartError::ProcessWatchdog(reason));
-    let watchdogs = &builder.process_watchdogs;
-    if *watchdogs != ProcessWatchdogs::default() && builder.placement == ActorPlacement::Here {
+    let watchdogs = &builder.process.watchdogs;
+    if *watchdogs != ProcessWatchdogs::default()
+        && builder.process.placement == ActorPlacement::Here
+    {
         return wrong(
             "a node all of which runs on one thread cannot be watched: leave \
              on_this_thread() or the watchdogs out"
@@ -98,19 +102,6 @@ fn check_configuration(configuration: &Configuration) -> Result<(), StartError> 
     let Configuration::File(file) = configuration else { return Ok(()) };
     let wrong = |reason| StartError::Parameters { file: Some(file.clone()), reason };
     check_file(file).map_err(wrong)
-}
-
-/// Refuses two objects of one name, whether components, supervisors or middleware objects.
-pub(super) fn check_names<'a>(
-    names: impl IntoIterator<Item = (&'a ObjectName, &'static str)>,
-) -> Result<(), NameTaken> {
-    let mut known = SortedMap::new();
-    for (name, kind) in names {
-        if let Some(by) = known.insert(name, kind) {
-            return Err(NameTaken { name: name.clone(), by });
-        }
-    }
-    Ok(())
 }
 
 #[cfg(feature = "unix")]

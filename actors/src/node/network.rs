@@ -6,7 +6,6 @@ pub(in crate::node) mod description;
 mod exposure;
 pub(in crate::node) mod hosts;
 mod node;
-pub(in crate::node) mod services;
 pub(in crate::node) mod signs;
 pub(crate) mod start;
 

@@ -58,9 +58,16 @@ pub struct SupervisorSpec {
 pub struct Subtree(Entry);
 
 enum Entry {
-    Component(Box<dyn ErasedChildSpec>, Restart),
+    Component(PrepareComponent, Restart),
     Supervisor(SupervisorSpec),
 }
+
+/// Gives a component of whatever type its name and ports.
+type PrepareComponent =
+    Box<dyn FnOnce(&Arc<ComponentEnvironment>) -> Result<PreparedComponent, Vec<SpecError>> + Send>;
+
+/// A component that waits to be started, what it depends on, and the rules that its spec gives.
+type PreparedComponent = (Box<dyn Child>, Vec<String>, ChildRules);
 
 impl fmt::Debug for Subtree {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -73,7 +80,15 @@ impl fmt::Debug for Subtree {
 
 impl<C: Component> From<(ChildSpec<C>, Restart)> for Subtree {
     fn from((spec, restart): (ChildSpec<C>, Restart)) -> Self {
-        Subtree(Entry::Component(Box::new(spec), restart))
+        let prepare = move |environment: &Arc<ComponentEnvironment>| {
+            let depends_on = spec.dependencies().to_vec();
+            let (ready_within, shutdown_within) = spec.deadlines();
+            let essential = spec.is_essential();
+            let rules = ChildRules::guarded(ready_within, shutdown_within);
+            let (child, _) = spec.into_child(environment)?;
+            Ok((child, depends_on, ChildRules { essential, ..rules }))
+        };
+        Subtree(Entry::Component(Box::new(prepare), restart))
     }
 }
 
@@ -98,8 +113,8 @@ impl Subtree {
         tree: &mut PreparedTree,
     ) -> Option<(Box<dyn Child>, ChildRules)> {
         match self.0 {
-            Entry::Component(spec, restart) => {
-                let prepared = spec.prepare(tree_environment.environment);
+            Entry::Component(prepare, restart) => {
+                let prepared = prepare(tree_environment.environment);
                 let (child, depends_on, rules) =
                     prepared.map_err(|refused| tree.refused.extend(refused)).ok()?;
                 let name = child.name().clone();
@@ -203,32 +218,6 @@ impl SupervisorSpec {
         self.rules.root = true;
         "root".clone_into(&mut self.name);
         self
-    }
-}
-
-/// The spec of a component of whatever type.
-trait ErasedChildSpec: Send {
-    /// Gives the component its name and ports.
-    fn prepare(
-        self: Box<Self>,
-        environment: &Arc<ComponentEnvironment>,
-    ) -> Result<PreparedComponent, Vec<SpecError>>;
-}
-
-/// A component that waits to be started, what it depends on, and the rules that its spec gives.
-type PreparedComponent = (Box<dyn Child>, Vec<String>, ChildRules);
-
-impl<C: Component> ErasedChildSpec for ChildSpec<C> {
-    fn prepare(
-        self: Box<Self>,
-        environment: &Arc<ComponentEnvironment>,
-    ) -> Result<PreparedComponent, Vec<SpecError>> {
-        let depends_on = self.dependencies().to_vec();
-        let (ready_within, shutdown_within) = self.deadlines();
-        let essential = self.is_essential();
-        let rules = ChildRules::guarded(ready_within, shutdown_within);
-        let (child, _) = self.into_child(environment)?;
-        Ok((child, depends_on, ChildRules { essential, ..rules }))
     }
 }
 

@@ -23,7 +23,7 @@ use std::sync::Arc;
 #[rtype(result = "Result<Confirmed, RegistrationError>")]
 pub struct Register {
     /// The object, and how it is watched.
-    pub enrolment: Registration,
+    pub registration: Registration,
     /// Where it answers the monitor's questions; `None` for one that is not asked.
     pub pings: Option<Recipient<AreYouAlive>>,
 }

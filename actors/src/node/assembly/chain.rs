@@ -1,6 +1,6 @@
 //! The fault chain of a node: how its actors are made, and what the rest of the node sees of them.
 
-use super::{enrolment, middleware, named};
+use super::{named, registrations};
 use crate::actuator::ActuatorTable;
 use crate::arbiter::pool::ArbiterPool;
 use crate::component::environment::ComponentEnvironment;
@@ -12,11 +12,11 @@ use crate::fault_chain::strategy::{
     SAFE_OUTPUTS, SafeOutputs, StrategyContext, StrategyTargets, object_of,
 };
 use crate::liveness::sampler::SamplerGuard;
-use crate::node::builder::{ActorPlacement, NodeBuilder};
+use crate::node::builder::{FaultDescription, NodeBuilder};
 use crate::node::controller::{NodeController, NodeControllerSetup, NodeState, SubscribeSafeState};
 use crate::node::error::StartError;
 use crate::node::tree::PreparedTree;
-use crate::platform::{self, ProcessWatchdog, lock, own_arbiter};
+use crate::platform::{self, ProcessWatchdog, lock};
 use crate::registry::Registry;
 use crate::runtime::callbacks::Callbacks;
 use crate::runtime::guardian::Guardian;
@@ -78,24 +78,28 @@ impl FaultChain {
         ]
     }
 
-    pub(super) async fn enrol_all(&self, enrolments: Vec<Register>) -> Result<(), StartError> {
-        for enrolment in enrolments {
+    /// Watches these objects from now on, and returns the first that cannot be watched as it
+    /// wishes.
+    pub(super) async fn register_all(
+        &self,
+        registrations: Vec<Register>,
+    ) -> Result<(), RegistrationError> {
+        let mut registered = Ok(());
+        for registration in registrations {
             // The chain's mailboxes close only when the node has ended.
-            if let Ok(answer) = self.monitor.send(enrolment).await {
-                answer?;
+            if let Ok(answer) = self.monitor.send(registration).await {
+                registered = registered.and(answer.map(drop));
             }
         }
-        Ok(())
+        registered
     }
 
     /// Watches what was prepared after the start.
-    pub(in crate::node) async fn enrol(&self, node: &NodeName, tree: &PreparedTree) {
-        let supervisors = tree.supervisors.iter().cloned();
-        let supervisors = supervisors.map(|(name, pings)| middleware(name, Some(pings)));
-        let components = tree.components.iter().filter_map(|facts| enrolment(node, facts).ok());
-        for registration in supervisors.chain(components) {
-            // An object that cannot be watched as it wishes still has its guard.
-            let _: Result<Result<_, RegistrationError>, _> = self.monitor.send(registration).await;
+    pub(in crate::node) async fn register(&self, node: &NodeName, tree: &PreparedTree) {
+        // The names that components depend on were checked, and an object that cannot be watched
+        // as it wishes still has its guard.
+        if let Ok(registrations) = registrations(node, tree) {
+            let _ = self.register_all(registrations).await;
         }
     }
 
@@ -163,10 +167,8 @@ pub(super) fn make_chain(
     (node, incarnation): (&NodeName, Incarnation),
     arbiters: &ArbiterPool,
 ) -> Result<(FaultChain, Registry, ActuatorTable), StartError> {
-    let arbiter = match builder.placement {
-        ActorPlacement::Here => None,
-        ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => Some(own_arbiter()?),
-    };
+    let NodeBuilder { faults, process, .. } = builder;
+    let arbiter = process.placement.own_arbiter()?;
     let on_arbiter = arbiter.as_ref();
     let guardian = Guardian::default();
 
@@ -178,16 +180,14 @@ pub(super) fn make_chain(
     );
     guardian.report_to(monitor.clone().recipient());
 
-    let callbacks = match builder.placement {
-        ActorPlacement::Here => Callbacks::default(),
-        ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => {
-            Callbacks::on_threads(builder.callback_limit, arbiters.clone())
-        }
+    let callbacks = match arbiter {
+        None => Callbacks::default(),
+        Some(_) => Callbacks::on_threads(faults.callback_limit, arbiters.clone()),
     };
     let reports = reports(&monitor);
     callbacks.report_to(reports.clone());
     let (state, actuators) = (builder.state.subscribe(), ActuatorTable::new(callbacks.clone()));
-    let safe_outputs = SafeOutputs::new(builder.safe_outputs.clone(), callbacks.clone(), reports);
+    let safe_outputs = SafeOutputs::new(faults.safe_outputs.clone(), callbacks.clone(), reports);
     let setup = NodeControllerSetup {
         node: node.clone(),
         incarnation,
@@ -213,10 +213,10 @@ pub(super) fn make_chain(
         rest_node: controller.clone().recipient(),
     });
     let spec = platform::random_seed();
-    let plan = builder.plan.clone();
+    let plan = faults.plan.clone();
     let setup = RecovererSetup {
         machine: recovery::Recoverer::new(node.clone(), plan, spec),
-        strategies: builder.strategies.clone(),
+        strategies: faults.strategies.clone(),
         context,
         detector: monitor.clone().recipient(),
         callbacks: callbacks.clone(),
@@ -262,13 +262,11 @@ pub(super) fn reports(monitor: &Addr<DetectionActor>) -> FaultReports {
 }
 
 /// The application's code that the chain calls: faults of it stand under these names.
-pub(super) fn callbacks_of(builder: &NodeBuilder) -> Vec<Register> {
-    let strategies = builder.strategies.names();
-    let strategies = strategies.map(object_of);
-    let outputs = builder.safe_outputs.iter().map(|_| named(SAFE_OUTPUTS));
+pub(super) fn callbacks_of(faults: &FaultDescription) -> SortedSet<ObjectName> {
+    let strategies = faults.strategies.names().map(object_of);
+    let outputs = faults.safe_outputs.iter().map(|_| named(SAFE_OUTPUTS));
     // Two names may differ by what no name of an object can hold.
-    let all: SortedSet<ObjectName> = strategies.chain(outputs).collect();
-    all.into_iter().map(|name| middleware(name, None)).collect()
+    strategies.chain(outputs).collect()
 }
 
 impl FaultChain {

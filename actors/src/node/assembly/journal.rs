@@ -1,6 +1,6 @@
 //! The journal of faults as a part of the node.
 
-use super::{NodeAssembly, middleware, named};
+use super::{NodeAssembly, named};
 use crate::journal::{JOURNAL, JournalActor, JournalLock};
 use crate::node::error::StartError;
 use crate::platform::file_lock::{FileLock, LockError, without_links};
@@ -36,7 +36,6 @@ impl NodeAssembly {
         );
         chain.monitor.do_send(Subscribe(journal.clone().recipient()));
         chain.keep_journal(guard);
-        self.enrolments.push(middleware(name, Some(journal.recipient())));
-        Ok(())
+        self.keep(name, Some(journal.recipient()))
     }
 }

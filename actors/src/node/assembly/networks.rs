@@ -1,24 +1,23 @@
 //! The networks of a node: what stands on its media, and how that is led to the fault chain.
 
 use super::chain::FaultChain;
-use super::{NodeAssembly, middleware, named};
+use super::{KeptObject, NodeAssembly, named};
 use crate::component::environment::ComponentEnvironment;
 use crate::component::spec_error::SpecError;
 use crate::directory::DirectoryTable;
 use crate::directory::actor::{DirectoryActor, DirectorySetup};
 use crate::net::{self, DirectoryLine, NetEnvironment, NetHandle, NetReports};
 use crate::node::Shared;
-use crate::node::builder::ActorPlacement;
 use crate::node::controller::SubscribeSafeState;
 use crate::node::error::StartError;
 use crate::node::network::description::NetworkDescription;
+use crate::node::network::start::StartedNetwork;
 use crate::node::network::{Cable, NetworkRow};
-use crate::platform::own_arbiter;
 use crate::service::Roster;
 use crate::service::{Carried, ReplicaActor, ServiceRefused};
 use crate::topic::Topics;
 use actix::prelude::*;
-use blastema_contract::monitor::{NodeReported, Register};
+use blastema_contract::monitor::NodeReported;
 use blastema_contract::notifier::AddPort;
 use blastema_contract::reports::FaultDeclared;
 use blastema_contract::transport::Close;
@@ -102,25 +101,20 @@ impl NodeAssembly {
         if description.networks.is_empty() {
             let setup = directory_setup(who, chain, environment);
             let directory = DirectoryActor::start(setup, &chain.guardian, chain.arbiter.as_ref());
-            self.enrolments.push(middleware(named("net/directory"), Some(directory.pings)));
-            return Ok(());
+            return self.keep(named("net/directory"), Some(directory.pings));
         }
-        let arbiter = match self.placement {
-            ActorPlacement::Here => None,
-            ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => Some(own_arbiter()?),
-        };
+        let arbiter = self.placement.own_arbiter()?;
         let mut transports = Vec::new();
         let place = (arbiter.clone(), &mut transports);
         let made = make_networks(description, place, who, chain, environment);
-        let (networks, enrolments) = made.inspect_err(|_| {
+        let (networks, kept) = made.inspect_err(|_| {
             transports.iter().for_each(|transport| transport.do_send(Close));
             if let Some(arbiter) = &arbiter {
                 arbiter.stop();
             }
         })?;
-        self.enrolments.extend(enrolments);
         self.node.networks = Some(networks);
-        Ok(())
+        kept.into_iter().try_for_each(|(name, pings)| self.keep(name, pings))
     }
 
     /// The faults of insecure networks and of keys that others may read stand from the start of the
@@ -153,7 +147,7 @@ impl NodeAssembly {
             let place = place.or(chain.arbiter.as_ref());
             let monitored = ReplicaActor::start(carried, environment, &chain.guardian, place);
             let monitored = monitored.map_err(SpecError::from)?;
-            self.enrolments.push(middleware(name, Some(monitored)));
+            self.keep(name, Some(monitored))?;
         }
         Ok(())
     }
@@ -166,7 +160,7 @@ fn make_networks(
     (node, incarnation): (&NodeName, Incarnation),
     chain: &FaultChain,
     environment: &ComponentEnvironment,
-) -> Result<(Networks, Vec<Register>), StartError> {
+) -> Result<(Networks, Vec<KeptObject>), StartError> {
     let FaultChain { guardian, monitor, .. } = chain;
     let may_be_away = description.may_be_away.iter().filter_map(|node| NodeName::new(node).ok());
     let may_be_away: SortedSet<_> = may_be_away.collect();
@@ -178,7 +172,7 @@ fn make_networks(
     let networks = std::mem::take(&mut description.networks);
     let (keys, session_timeout) = (description.keys.take(), description.session_timeout);
     let (mut specs, mut cables) = (Vec::new(), SortedMap::new());
-    let (mut neighbours, mut enrolments) = (SortedSet::new(), Vec::new());
+    let (mut neighbours, mut kept) = (SortedSet::new(), Vec::new());
     let has_keys = keys.is_some();
     let danger = keys.as_ref().and_then(|keys| keys.danger());
     let mut links = Vec::new();
@@ -187,14 +181,14 @@ fn make_networks(
     let silence = networks.iter().map(|network| network.medium_kind().timeout()).max();
     let silence = silence.unwrap_or_default();
     for network in networks {
-        let started = network.start(has_keys, guardian, arbiter.as_ref())?;
+        let started = StartedNetwork::start(network, has_keys, guardian, arbiter.as_ref())?;
         let beacons = started.spec.discovery.iter().map(|spec| &spec.beacons.0);
         let of_network = beacons.chain([&started.spec.transport]);
         transports.extend(of_network.map(|transport| transport.close.clone()));
         if let Some(cable) = started.cable {
             cables.insert(started.spec.name.to_string(), cable);
         }
-        enrolments.extend(started.transports.into_iter().map(|name| middleware(name, None)));
+        kept.extend(started.transports.into_iter().map(|name| (name, None)));
         neighbours.extend(started.spec.links.iter().filter_map(|link| link.neighbour.clone()));
         links.extend(started.spec.links.iter().map(|link| link.name.to_string()));
         if has_keys || started.spec.discovery.is_some() {
@@ -203,7 +197,7 @@ fn make_networks(
         specs.push(started.spec);
     }
     if let Some(keys) = &keys {
-        enrolments.push(middleware(named("net/roster"), None));
+        kept.push((named("net/roster"), None));
         environment.registry.access().replace(keys.access_policy());
     }
     let net_environment = NetEnvironment {
@@ -236,13 +230,12 @@ fn make_networks(
     };
     let network = setup.network.clone();
     let directory = DirectoryActor::start(setup, guardian, arbiter.as_ref());
-    enrolments.push(middleware(named("net/directory"), Some(directory.pings)));
+    kept.push((named("net/directory"), Some(directory.pings)));
     let directory = Some(DirectoryLine { reports: directory.reports, network });
     let net_environment = NetEnvironment { directory, ..net_environment };
     let handle = net::start(net_environment, specs);
     chain.controller.do_send(SubscribeSafeState(handle.safe_states()));
-    let own = handle.pings().into_iter();
-    enrolments.extend(own.map(|(name, pings)| middleware(name, Some(pings))));
+    kept.extend(handle.pings().into_iter().map(|(name, pings)| (name, Some(pings))));
     // The recipient is set once, here.
     let _ = chain.router.set((handle.reroute(), handle.isolation()));
     for neighbour in neighbours {
@@ -253,7 +246,7 @@ fn make_networks(
     let transports = transports.clone();
     let networks =
         Networks { handle, cables, rows, danger, transports, arbiter, described, links, silence };
-    Ok((networks, enrolments))
+    Ok((networks, kept))
 }
 
 /// The setup of the directory for a node without a network.

@@ -1,15 +1,17 @@
 //! What can be known to be wrong with a network before anything is started.
 
 use super::{Link, Medium, Network};
+use crate::net::LinkSpec;
 use crate::net::keys::NodeKeys;
 use crate::node::error::StartError;
 use crate::platform;
 use crate::settings::SettingError;
 use crate::settings::network::{EXPECTED_WITHIN, HELLO_INTERVAL};
-use blastema_core::NodeName;
 use blastema_core::net::routing::MTU_MIN;
 use blastema_core::net::wire::advertisement::NEIGHBOURS_MAX;
 use blastema_core::sorted::{SortedMap, SortedSet};
+use blastema_core::{NodeName, ObjectName};
+use blastema_transports::EndpointError;
 
 /// Every network and every neighbour there can be what it is said to be.
 pub(in crate::node) fn check_networks(
@@ -111,6 +113,47 @@ impl Network {
         link.name.clone().unwrap_or_else(usual)
     }
 
+    /// The name of an object of this network.
+    pub(super) fn object(&self, kind: &str) -> Result<ObjectName, StartError> {
+        let object = ObjectName::new(&format!("{kind}/{}", self.name));
+        object.map_err(StartError::name_of(format!("the name of network {:?}", self.name)))
+    }
+
+    pub(super) fn link_specs(&self) -> Result<Vec<LinkSpec>, StartError> {
+        let mut remotes = SortedSet::new();
+        let spec = |link: &Link| {
+            let of = format!("the name of a neighbour on network {}", self.name);
+            let neighbour = NodeName::new(&link.neighbour).map_err(StartError::name_of(of))?;
+            let remote = self.medium.remote(&link.address);
+            let remote = remote.map_err(|error| self.endpoint_error(Some(&neighbour), error))?;
+            if !remotes.insert(remote.clone()) {
+                return Err(StartError::Network(format!(
+                    "two links of network {} lead to {remote}: leave one of them out",
+                    self.name
+                )));
+            }
+            Ok(LinkSpec {
+                name: self.link_name(link).into(),
+                remote,
+                neighbour: Some(neighbour),
+                cost: link.cost,
+                hello_interval: link.hello_every,
+                expected_within: link.expected_within,
+            })
+        };
+        self.links.iter().map(spec).collect()
+    }
+
+    /// An address is wrong: our own, or that of a neighbour.
+    pub(super) fn endpoint_error(
+        &self,
+        neighbour: Option<&NodeName>,
+        error: EndpointError,
+    ) -> StartError {
+        let neighbour = neighbour.cloned();
+        StartError::Endpoint { network: self.name.clone(), neighbour, error }
+    }
+
     /// Finds what can be known to be wrong before anything is started.
     pub(in crate::node) fn check(
         &self,
@@ -129,8 +172,10 @@ impl Network {
         }
         self.object("transport")?;
         self.link_specs()?;
-        self.beacon_socket()?;
-        self.admission()?;
+        if let Some(discovery) = &self.discovery {
+            discovery.beacons(self)?;
+            discovery.admission(&self.name)?;
+        }
         if let Some(keys) = keys.filter(|_| self.leaves_process()) {
             self.check_sealed(keys)?;
         }
@@ -139,8 +184,8 @@ impl Network {
 
     /// On a sealed network frames have room for the seal; each neighbour has a key, and one link.
     fn check_sealed(&self, keys: &NodeKeys) -> Result<(), StartError> {
-        let seal = self.seal_terms().map_or(0, |terms| terms.profile.overhead());
-        if let Some(mtu) = self.set_mtu().filter(|mtu| *mtu < MTU_MIN + seal) {
+        let seal = self.medium.seal_terms().profile.overhead();
+        if let Some(mtu) = self.medium.set_mtu().filter(|mtu| *mtu < MTU_MIN + seal) {
             return Err(StartError::Network(format!(
                 "network {}: of frames of {mtu} bytes a seal takes {seal}, which leaves too few: \
                  set mtu={} at least",

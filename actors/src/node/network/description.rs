@@ -3,12 +3,12 @@
 use super::Network;
 use super::checks::{check_files, check_networks};
 use super::hosts::Hosts;
-use super::services::check_service_order;
 use crate::net::keys::{KeysPermissions, NodeKeys};
 use crate::node::error::StartError;
 use crate::platform;
 use crate::service::{Carried, ServiceRefused};
 use crate::settings::network::SESSION_TIMEOUT;
+use blastema_core::detection::dependencies::{DependencyError, circle};
 use blastema_core::sorted::SortedSet;
 use blastema_core::suggestion::nearest;
 use blastema_core::{Incarnation, NodeName};
@@ -157,4 +157,14 @@ impl NetworkDescription {
         self.keys = Some(Arc::new(keys));
         Ok(())
     }
+}
+
+/// Of services that wait for each other, none would ever serve. What the services of other nodes
+/// wait for is not known here.
+fn check_service_order(carried: &[&Carried]) -> Result<(), StartError> {
+    let needs = carried.iter();
+    let needs = needs.map(|service| (&service.name, service.depends_on.iter().collect()));
+    let Some(way) = circle(&needs.collect()) else { return Ok(()) };
+    let (name, reason) = (way[0].to_string(), DependencyError::Circle { way }.to_string());
+    Err(StartError::Service { name, reason })
 }

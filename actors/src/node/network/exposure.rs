@@ -78,6 +78,36 @@ impl Medium {
             Medium::Unreadable(error) => error.to_string(),
         }
     }
+
+    /// How its frames are sealed.
+    pub(super) fn seal_terms(&self) -> SealTerms {
+        let (profile, forgeable_addresses) = match self {
+            // Frames of a bus are small, and its cable is within the robot.
+            Medium::At(Endpoint::Can(_) | Endpoint::Slcan(_)) => (SealProfile::Compact, false),
+            // A line may be a radio.
+            #[cfg(feature = "serial")]
+            Medium::At(Endpoint::Serial(_)) => (SealProfile::Full, false),
+            // A stream's other end is where it was when it connected.
+            Medium::At(Endpoint::Tcp(_)) => (SealProfile::Full, false),
+            Medium::At(Endpoint::Unix(_)) => (SealProfile::Full, false),
+            _ => (SealProfile::Full, true),
+        };
+        SealTerms { profile, forgeable_addresses }
+    }
+
+    /// The largest frame that the user has set; `None` where the medium chooses it.
+    pub(super) fn set_mtu(&self) -> Option<usize> {
+        match self {
+            Medium::At(Endpoint::Udp(config)) => config.mtu,
+            Medium::At(Endpoint::Tcp(config)) => Some(config.limits.mtu),
+            Medium::At(Endpoint::Unix(config)) => Some(config.limits.mtu),
+            #[cfg(feature = "serial")]
+            Medium::At(Endpoint::Serial(config)) => config.mtu,
+            Medium::At(Endpoint::Can(config)) => Some(config.node.mtu),
+            Medium::At(Endpoint::Slcan(config)) => Some(config.node.mtu),
+            _ => None,
+        }
+    }
 }
 
 impl Network {
@@ -85,7 +115,7 @@ impl Network {
     fn reach(&self) -> Reach {
         let reach = self.medium.reach();
         // A group that cannot be read is refused by the check of the network.
-        let beacons = self.beacon_socket().ok().flatten();
+        let beacons = self.discovery.as_ref().and_then(|discovery| discovery.beacons(self).ok());
         beacons.map_or(reach, |beacons| reach.max(beacons.socket.reach()))
     }
 
@@ -98,37 +128,6 @@ impl Network {
     /// Whether other processes can be on it.
     pub(super) fn leaves_process(&self) -> bool {
         self.reach() != Reach::Process
-    }
-
-    /// How its frames are sealed by a node that has keys. Within a process no other program can
-    /// send.
-    pub(in crate::node) fn seal_terms(&self) -> Option<SealTerms> {
-        let (profile, forgeable_addresses) = match &self.medium {
-            // Frames of a bus are small, and its cable is within the robot.
-            Medium::At(Endpoint::Can(_) | Endpoint::Slcan(_)) => (SealProfile::Compact, false),
-            // A line may be a radio.
-            #[cfg(feature = "serial")]
-            Medium::At(Endpoint::Serial(_)) => (SealProfile::Full, false),
-            // A stream's other end is where it was when it connected.
-            Medium::At(Endpoint::Tcp(_)) => (SealProfile::Full, false),
-            Medium::At(Endpoint::Unix(_)) => (SealProfile::Full, false),
-            _ => (SealProfile::Full, true),
-        };
-        self.leaves_process().then_some(SealTerms { profile, forgeable_addresses })
-    }
-
-    /// The largest frame that the user has set; `None` where the medium chooses it.
-    pub(super) fn set_mtu(&self) -> Option<usize> {
-        match &self.medium {
-            Medium::At(Endpoint::Udp(config)) => config.mtu,
-            Medium::At(Endpoint::Tcp(config)) => Some(config.limits.mtu),
-            Medium::At(Endpoint::Unix(config)) => Some(config.limits.mtu),
-            #[cfg(feature = "serial")]
-            Medium::At(Endpoint::Serial(config)) => config.mtu,
-            Medium::At(Endpoint::Can(config)) => Some(config.node.mtu),
-            Medium::At(Endpoint::Slcan(config)) => Some(config.node.mtu),
-            _ => None,
-        }
     }
 
     /// The network, for display.

@@ -1,7 +1,7 @@
 //! Starts the transports of a network that was described.
 
 use super::beacons::Beacons;
-use super::{Cable, Discovered, Link, Medium, Network};
+use super::{Cable, Medium, Network};
 #[cfg(feature = "serial")]
 use crate::net::keys::SealTerms;
 use crate::net::{DiscoverySpec, LinkSpec, NetworkSpec};
@@ -11,9 +11,7 @@ use crate::runtime::guardian::Guardian;
 use crate::settings::network::HELLO_INTERVAL;
 use actix::prelude::*;
 use blastema_contract::transport::{MediumAddress, Transport};
-use blastema_core::net::discovery::DiscoveryAdmission;
-use blastema_core::sorted::SortedSet;
-use blastema_core::{NodeName, ObjectName};
+use blastema_core::ObjectName;
 #[cfg(feature = "unix")]
 use blastema_transports::Unix;
 use blastema_transports::{
@@ -35,7 +33,7 @@ const REFUSED: &str = "a wrong endpoint is refused before the start";
 
 impl Medium {
     /// The address of a neighbour as this medium has it.
-    fn remote(&self, address: &str) -> Result<MediumAddress, EndpointError> {
+    pub(super) fn remote(&self, address: &str) -> Result<MediumAddress, EndpointError> {
         match self {
             Medium::At(endpoint) => endpoint.peer(address),
             Medium::Unreadable(error) => unreachable!("{REFUSED}: {error}"),
@@ -114,22 +112,26 @@ impl TransportPlace<'_> {
     }
 }
 
-impl Network {
-    /// Starts the transports. Nothing runs where that is refused.
+impl StartedNetwork {
+    /// Starts the transports of a network. Nothing runs where that is refused.
     pub(in crate::node) fn start(
-        self,
+        network: Network,
         has_keys: bool,
         guardian: &Guardian,
         arbiter: Option<&ArbiterHandle>,
     ) -> Result<StartedNetwork, StartError> {
-        let [object, sender, cable] = ["transport", "beacons", "cable"].map(|of| self.object(of));
+        let objects = ["transport", "beacons", "cable"].map(|kind| network.object(kind));
+        let [object, sender, cable] = objects;
         let (object, sender, cable) = (object?, sender?, cable?);
-        let seal = self.seal_terms().filter(|_| has_keys);
-        let links = self.link_specs()?;
-        let beacons = self.beacon_socket()?;
-        let admission = self.admission()?;
-        let interface = self.used_interface();
-        let Network { name, medium, memory, faults, .. } = self;
+        let is_sealed = has_keys && network.leaves_process();
+        let seal = is_sealed.then(|| network.medium.seal_terms());
+        let links = network.link_specs()?;
+        let discovered = network.discovery.as_ref().map(|discovery| {
+            Ok::<_, StartError>((discovery.beacons(&network)?, discovery.admission(&network.name)?))
+        });
+        let discovered = discovered.transpose()?;
+        let interface = network.used_interface();
+        let Network { name, medium, memory, faults, .. } = network;
         #[cfg(feature = "serial")]
         let medium = match seal {
             Some(seal) => medium.with_room_for(seal),
@@ -139,7 +141,7 @@ impl Network {
         let place = |object| TransportPlace { object, guardian, arbiter };
         let mut transport = medium.start(&name, memory.clone(), place(object))?;
         let mut discovery = None;
-        if let (Some(Beacons { socket, group }), Some(admission)) = (beacons, admission) {
+        if let Some((Beacons { socket, group }, admission)) = discovered {
             transports.push(sender.clone());
             let beacons = (socket.start(&name, memory.clone(), place(sender))?, group);
             let hello_interval = HELLO_INTERVAL.default;
@@ -159,55 +161,5 @@ impl Network {
         let name = name.into();
         let spec = NetworkSpec { name, transport, interface, links, discovery, seal };
         Ok(StartedNetwork { spec, cable, transports })
-    }
-
-    /// The name of an object of this network.
-    pub(super) fn object(&self, kind: &str) -> Result<ObjectName, StartError> {
-        let object = ObjectName::new(&format!("{kind}/{}", self.name));
-        object.map_err(StartError::name_of(format!("the name of network {:?}", self.name)))
-    }
-
-    pub(super) fn link_specs(&self) -> Result<Vec<LinkSpec>, StartError> {
-        let mut remotes = SortedSet::new();
-        let spec = |link: &Link| {
-            let of = format!("the name of a neighbour on network {}", self.name);
-            let neighbour = NodeName::new(&link.neighbour).map_err(StartError::name_of(of))?;
-            let remote = self.medium.remote(&link.address);
-            let remote = remote.map_err(|error| self.endpoint_error(Some(&neighbour), error))?;
-            if !remotes.insert(remote.clone()) {
-                return Err(StartError::Network(format!(
-                    "two links of network {} lead to {remote}: leave one of them out",
-                    self.name
-                )));
-            }
-            Ok(LinkSpec {
-                name: self.link_name(link).into(),
-                remote,
-                neighbour: Some(neighbour),
-                cost: link.cost,
-                hello_interval: link.hello_every,
-                expected_within: link.expected_within,
-            })
-        };
-        self.links.iter().map(spec).collect()
-    }
-
-    /// An address is wrong: our own, or that of a neighbour.
-    pub(super) fn endpoint_error(
-        &self,
-        neighbour: Option<&NodeName>,
-        error: EndpointError,
-    ) -> StartError {
-        let neighbour = neighbour.cloned();
-        StartError::Endpoint { network: self.name.clone(), neighbour, error }
-    }
-
-    /// Who is admitted, but for those that are described.
-    pub(super) fn admission(&self) -> Result<Option<DiscoveryAdmission>, StartError> {
-        let Some(Discovered { nodes, .. }) = &self.discovery else { return Ok(None) };
-        let Some(nodes) = nodes else { return Ok(Some(DiscoveryAdmission::AnyNode)) };
-        let nodes: Result<_, _> = nodes.iter().map(|node| NodeName::new(node)).collect();
-        let of = format!("the name of a node that network {} is discovered by", self.name);
-        Ok(Some(DiscoveryAdmission::Only(nodes.map_err(StartError::name_of(of))?)))
     }
 }
