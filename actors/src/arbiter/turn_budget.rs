@@ -165,7 +165,6 @@ impl TurnBudget {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use blastema_doubles::paused;
     use std::cell::Cell;
     use std::future::poll_fn;
     use std::rc::Rc;
@@ -183,14 +182,12 @@ mod tests {
         actix_rt::System::new().block_on(test)
     }
 
-    #[test]
-    fn no_handler_takes_long_on_a_paused_clock() {
-        paused(async {
-            let budget = TurnBudget::default();
-            budget.begin();
-            burn(Duration::from_millis(30));
-            assert!(budget.lasts() && budget.is_trusted());
-        });
+    #[blastema_macros::test(crate = "blastema_doubles")]
+    async fn no_handler_takes_long_on_a_paused_clock() {
+        let budget = TurnBudget::default();
+        budget.begin();
+        burn(Duration::from_millis(30));
+        assert!(budget.lasts() && budget.is_trusted());
     }
 
     /// On real threads.

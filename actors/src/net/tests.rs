@@ -46,7 +46,7 @@ use blastema_core::{
     DeliveryError, Fault, FaultId, FaultKind, FaultLocation, Incarnation, NodeName, ObjectName,
     Severity,
 };
-use blastema_doubles::{Probe, advance, paused, settle};
+use blastema_doubles::{Probe, advance, settle};
 use blastema_transports::{FaultInjector, FaultInjectorConfig, Memory, MemoryMedium};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;

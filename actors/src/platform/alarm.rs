@@ -114,17 +114,14 @@ fn kernel_timer() -> std::io::Result<AsyncFd<OwnedFd>> {
 mod tests {
     use super::*;
     use crate::platform::now;
-    use blastema_doubles::paused;
     use std::future::poll_fn;
 
-    #[test]
-    fn an_alarm_of_the_runtime_goes_by_the_clock_that_a_test_has_paused() {
-        paused(async {
-            let hour = now() + Duration::from_secs(3600);
-            let mut alarm = ScheduleAlarm::new(false);
-            poll_fn(|cx| alarm.poll_until(hour, cx)).await;
-            assert_eq!(now(), hour);
-        });
+    #[blastema_macros::test(crate = "blastema_doubles")]
+    async fn an_alarm_of_the_runtime_goes_by_the_clock_that_a_test_has_paused() {
+        let hour = now() + Duration::from_secs(3600);
+        let mut alarm = ScheduleAlarm::new(false);
+        poll_fn(|cx| alarm.poll_until(hour, cx)).await;
+        assert_eq!(now(), hour);
     }
 
     /// On real threads.

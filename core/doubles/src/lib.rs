@@ -38,6 +38,8 @@ mod turn;
 
 pub use fake_crypto::{FakeCrypto, FakeHandshake, NonceLedger};
 pub use mock_transport::MockTransport;
+/// By the name that the attribute `test` of `blastema_macros` calls it.
+pub use paused::paused as run;
 pub use paused::{advance, now, paused, settle};
 pub use probe::Probe;
 pub use program::program_in;

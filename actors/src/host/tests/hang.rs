@@ -14,7 +14,7 @@ use blastema_core::detection::hang::HangDetectorConfig;
 use blastema_core::detection::hang::LivenessEvent;
 use blastema_core::detection::{CurrentHandler, Finding, Liveness, MonitorRow, ObjectKind};
 use blastema_core::{FaultLocation, NodeName, ObjectAddress};
-use blastema_doubles::{Probe, advance, paused};
+use blastema_doubles::{Probe, advance};
 use std::sync::{Arc, Mutex, mpsc};
 use std::time::Duration;
 
@@ -238,18 +238,16 @@ fn watched() -> (Stage, Probe<LivenessReported>, SamplerGuard) {
     (stage, sighted, watch)
 }
 
-#[test]
-fn a_round_that_succeeds_is_a_sign_of_life() {
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_round_that_succeeds_is_a_sign_of_life() {
     struct Worker;
     impl Component for Worker {}
-    paused(async {
-        let (stage, sighted, _watch) = watched();
-        let push = Liveness::push(Duration::from_millis(100), 3);
-        let spec = ChildSpec::new("worker", || Worker).rate_hz(10.0).liveness(push);
-        let (_child, _) = stage.start(spec).await;
-        advance(Duration::from_secs(10)).await;
-        assert_eq!(sighted.drain(), []);
-    });
+    let (stage, sighted, _watch) = watched();
+    let push = Liveness::push(Duration::from_millis(100), 3);
+    let spec = ChildSpec::new("worker", || Worker).rate_hz(10.0).liveness(push);
+    let (_child, _) = stage.start(spec).await;
+    advance(Duration::from_secs(10)).await;
+    assert_eq!(sighted.drain(), []);
 }
 
 /// On real threads.

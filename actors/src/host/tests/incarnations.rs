@@ -4,34 +4,31 @@ use super::{Add, Boom, ChildOrder, GRANT, Slow, Stage, acc, boom};
 use crate::arbiter::pool::ArbiterPool;
 use crate::{ChildSpec, Component, Context, DeliveryError, Failure, Handle, Incarnation, Ports};
 use blastema_contract::child::ChildEvent;
-use blastema_doubles::paused;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-#[test]
-fn an_order_during_a_restart_by_the_guard_has_its_own_number() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, _) = acc("acc");
-        let (mut child, acc) = stage.start(spec).await;
-        child.order(GRANT);
-        acc.tell(boom("one")).unwrap();
-        assert_eq!(
-            acc.ask(Slow(0)).await,
-            Ok(2000),
-            "the second incarnation, which no supervisor knows of"
-        );
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn an_order_during_a_restart_by_the_guard_has_its_own_number() {
+    let stage = Stage::new();
+    let (spec, _) = acc("acc");
+    let (mut child, acc) = stage.start(spec).await;
+    child.order(GRANT);
+    acc.tell(boom("one")).unwrap();
+    assert_eq!(
+        acc.ask(Slow(0)).await,
+        Ok(2000),
+        "the second incarnation, which no supervisor knows of"
+    );
 
-        // The supervisor still knows the first one, and wants it replaced.
-        child.order(ChildOrder::Abandon);
-        let begun = child.start(Incarnation(2), stage.reports.recipient().into());
+    // The supervisor still knows the first one, and wants it replaced.
+    child.order(ChildOrder::Abandon);
+    let begun = child.start(Incarnation(2), stage.reports.recipient().into());
 
-        assert_eq!(begun, Incarnation(3));
-        assert_eq!(acc.ask(Slow(0)).await, Ok(3000));
-        let started = stage.reports.wait(|report| report.incarnation == begun).await;
-        assert_eq!(started.event, ChildEvent::Started);
-        assert_eq!(acc.ask(Add(0)).await, Ok(3000), "one incarnation serves");
-    });
+    assert_eq!(begun, Incarnation(3));
+    assert_eq!(acc.ask(Slow(0)).await, Ok(3000));
+    let started = stage.reports.wait(|report| report.incarnation == begun).await;
+    assert_eq!(started.event, ChildEvent::Started);
+    assert_eq!(acc.ask(Add(0)).await, Ok(3000), "one incarnation serves");
 }
 
 type Incarnations = Arc<Mutex<Vec<Incarnation>>>;

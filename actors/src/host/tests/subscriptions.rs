@@ -11,7 +11,7 @@ use blastema_core::Contract;
 use blastema_core::detection::Finding;
 use blastema_core::detection::hang::HangDetectorConfig;
 use blastema_core::detection::hang::LivenessEvent;
-use blastema_doubles::{Probe, paused, settle};
+use blastema_doubles::{Probe, settle};
 use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Condvar, Mutex};
@@ -156,32 +156,30 @@ impl Handle<Sample> for Sapper {
     }
 }
 
-#[test]
-fn events_whose_clone_or_drop_panics_are_a_fault_of_their_topic() {
-    paused(async {
-        let stage = Stage::new();
-        let log = Log::default();
-        let start = |name: &str| {
-            let kept = log.clone();
-            ChildSpec::new(name, move || Sapper(kept.clone()))
-        };
-        let (_one, _): (Box<dyn Child>, _) = stage.start(start("one")).await;
-        let (_two, _) = stage.start(start("two")).await;
-        let bombs = stage.environment.topics().publisher::<Bomb>(Bomb::NAME).unwrap();
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn events_whose_clone_or_drop_panics_are_a_fault_of_their_topic() {
+    let stage = Stage::new();
+    let log = Log::default();
+    let start = |name: &str| {
+        let kept = log.clone();
+        ChildSpec::new(name, move || Sapper(kept.clone()))
+    };
+    let (_one, _): (Box<dyn Child>, _) = stage.start(start("one")).await;
+    let (_two, _) = stage.start(start("two")).await;
+    let bombs = stage.environment.topics().publisher::<Bomb>(Bomb::NAME).unwrap();
 
-        (0..20).for_each(|_| bombs.publish(Bomb { drops: true }).unwrap());
-        settle().await;
-        assert_eq!((logged(&log), DROPPED.load(Relaxed)), (vec![0; 40], 20));
-        bombs.publish(Bomb { drops: false }).unwrap();
-        publish(&stage, 7);
-        settle().await;
+    (0..20).for_each(|_| bombs.publish(Bomb { drops: true }).unwrap());
+    settle().await;
+    assert_eq!((logged(&log), DROPPED.load(Relaxed)), (vec![0; 40], 20));
+    bombs.publish(Bomb { drops: false }).unwrap();
+    publish(&stage, 7);
+    settle().await;
 
-        assert_eq!(logged(&log), [7, 7]);
-        assert_eq!(stage.exits.drain(), []);
-        let faults = stage.faults.drain();
-        assert_eq!(faults.len(), 1, "{faults:?}");
-        assert_eq!(faults[0].object, ObjectName::new(Bomb::NAME).unwrap());
-    });
+    assert_eq!(logged(&log), [7, 7]);
+    assert_eq!(stage.exits.drain(), []);
+    let faults = stage.faults.drain();
+    assert_eq!(faults.len(), 1, "{faults:?}");
+    assert_eq!(faults[0].object, ObjectName::new(Bomb::NAME).unwrap());
 }
 
 /// On real threads.
