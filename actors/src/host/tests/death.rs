@@ -166,33 +166,29 @@ async fn a_component_that_ends_itself_has_returned_and_keeps_its_queue() {
 mod real {
     use super::*;
 
-    #[test]
-    fn an_incarnation_whose_arbiter_goes_away_is_reported_as_aborted() {
-        let _turn = blastema_doubles::turn();
-        let system = actix_rt::System::new();
-        system.block_on(async {
-            let stage = Stage::on(crate::arbiter::pool::ArbiterPool::pool(1));
-            let (_child, acc) = stage.start(acc("acc").0).await;
-            let asked = spawn_local({
-                let acc = acc.clone();
-                async move { acc.ask(Slow(3_600_000)).await }
-            });
-            settle().await;
-
-            stage.environment.arbiters.stop();
-
-            let exited = stage.exits.expect().await;
-            assert_eq!((exited.exit, exited.restarted_as), (ExitReason::Aborted, None));
-            let why = asked.await.unwrap().unwrap_err().kind;
-            assert!(
-                matches!(
-                    why,
-                    DeliveryError::PeerDied { .. }
-                        | DeliveryError::Stopped
-                        | DeliveryError::DeadlinePassed
-                ),
-                "{why}"
-            );
+    #[blastema_macros::test(crate = "blastema_doubles::real")]
+    async fn an_incarnation_whose_arbiter_goes_away_is_reported_as_aborted() {
+        let stage = Stage::on(crate::arbiter::pool::ArbiterPool::pool(1));
+        let (_child, acc) = stage.start(acc("acc").0).await;
+        let asked = spawn_local({
+            let acc = acc.clone();
+            async move { acc.ask(Slow(3_600_000)).await }
         });
+        settle().await;
+
+        stage.environment.arbiters.stop();
+
+        let exited = stage.exits.expect().await;
+        assert_eq!((exited.exit, exited.restarted_as), (ExitReason::Aborted, None));
+        let why = asked.await.unwrap().unwrap_err().kind;
+        assert!(
+            matches!(
+                why,
+                DeliveryError::PeerDied { .. }
+                    | DeliveryError::Stopped
+                    | DeliveryError::DeadlinePassed
+            ),
+            "{why}"
+        );
     }
 }

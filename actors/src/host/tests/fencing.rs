@@ -131,41 +131,34 @@ async fn what_an_isolated_component_publishes_without_a_result_is_counted() {
 mod real {
     use super::*;
 
-    #[test]
-    fn a_publisher_in_a_thread_is_fenced_with_its_incarnation() {
-        let _turn = blastema_doubles::turn();
-        actix_rt::System::new().block_on(async {
-            let stage = Stage::on(ArbiterPool::pool(1));
-            let bench = Bench::default();
-            let (spec, log) = ear();
-            let (_ear, _) = stage.start(spec).await;
-            let (mut child, source) = stage.start(source(&bench)).await;
-            child.order(GRANT);
-            let first = bench.publishers.lock().unwrap()[0].clone();
-            let (tell, answers) = thread(first);
+    #[blastema_macros::test(crate = "blastema_doubles::real")]
+    async fn a_publisher_in_a_thread_is_fenced_with_its_incarnation() {
+        let stage = Stage::on(ArbiterPool::pool(1));
+        let bench = Bench::default();
+        let (spec, log) = ear();
+        let (_ear, _) = stage.start(spec).await;
+        let (mut child, source) = stage.start(source(&bench)).await;
+        child.order(GRANT);
+        let first = bench.publishers.lock().unwrap()[0].clone();
+        let (tell, answers) = thread(first);
 
-            tell.send(1).unwrap();
-            assert_eq!(answers.recv().unwrap(), None);
-            source.tell(boom("x")).unwrap();
-            stage.exits.expect().await;
-            tell.send(2).unwrap();
-            assert_eq!(answers.recv().unwrap(), Some(DeliveryError::Fenced));
-            while bench.publishers.lock().unwrap().len() < 2 {
-                tokio::time::sleep(Duration::from_millis(5)).await;
-            }
-            let second = bench.publishers.lock().unwrap()[1].clone();
-            second.publish(Reading(3)).unwrap();
-            while log.lock().unwrap().len() < 2 {
-                tokio::time::sleep(Duration::from_millis(5)).await;
-            }
+        tell.send(1).unwrap();
+        assert_eq!(answers.recv().unwrap(), None);
+        source.tell(boom("x")).unwrap();
+        stage.exits.expect().await;
+        tell.send(2).unwrap();
+        assert_eq!(answers.recv().unwrap(), Some(DeliveryError::Fenced));
+        while bench.publishers.lock().unwrap().len() < 2 {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        let second = bench.publishers.lock().unwrap()[1].clone();
+        second.publish(Reading(3)).unwrap();
+        while log.lock().unwrap().len() < 2 {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
 
-            assert_eq!(logged(&log), [1, 3], "nothing of the first incarnation after its end");
-            assert_eq!(
-                stage.environment.dead_letters.total(),
-                1,
-                "the message that killed, no more"
-            );
-            stage.environment.arbiters.stop();
-        });
+        assert_eq!(logged(&log), [1, 3], "nothing of the first incarnation after its end");
+        assert_eq!(stage.environment.dead_letters.total(), 1, "the message that killed, no more");
+        stage.environment.arbiters.stop();
     }
 }

@@ -63,50 +63,47 @@ impl Handle<Add> for Census {
 mod real {
     use super::*;
 
-    #[test]
-    fn a_panic_and_an_order_at_once_make_no_two_equal_incarnations() {
-        let _turn = blastema_doubles::turn();
-        actix_rt::System::new().block_on(async {
-            let stage = Stage::on(ArbiterPool::pool(2));
-            let incarnations = Incarnations::default();
-            let kept = incarnations.clone();
-            let spec = ChildSpec::new("census", move || Census(kept.clone()))
-                .queue(64, crate::WhenFull::Refuse);
-            let (mut child, census) = stage.start(spec).await;
-            for round in 0..200_u64 {
-                child.order(GRANT);
-                let _ = census.tell(boom("struck"));
-                // Sooner or later than the panic, from round to round.
-                (0..20 * (round % 50)).for_each(|_| std::hint::spin_loop());
-                child.order(ChildOrder::Abandon);
-                // A component whose handlers keep four threads gets no more, and threads that the
-                // system does not run just then are kept.
-                while stage.environment.arbiters.check_share(child.name()).is_err() {
-                    std::thread::yield_now();
-                }
-                let known = Incarnation(1 + round);
-                let begun = child.start(known, stage.reports.recipient().into());
-                let answered = loop {
-                    match census.ask_within(Add(0), Duration::from_secs(30)).await {
-                        Ok(incarnation) => break Incarnation(incarnation),
-                        Err(error)
-                            if matches!(
-                                error.kind,
-                                DeliveryError::PeerDied { .. } | DeliveryError::Restarting
-                            ) => {}
-                        Err(error) => panic!("{error}"),
-                    }
-                };
-                assert!(answered >= begun, "{answered} answers, and {begun} was begun");
+    #[blastema_macros::test(crate = "blastema_doubles::real")]
+    async fn a_panic_and_an_order_at_once_make_no_two_equal_incarnations() {
+        let stage = Stage::on(ArbiterPool::pool(2));
+        let incarnations = Incarnations::default();
+        let kept = incarnations.clone();
+        let spec = ChildSpec::new("census", move || Census(kept.clone()))
+            .queue(64, crate::WhenFull::Refuse);
+        let (mut child, census) = stage.start(spec).await;
+        for round in 0..200_u64 {
+            child.order(GRANT);
+            let _ = census.tell(boom("struck"));
+            // Sooner or later than the panic, from round to round.
+            (0..20 * (round % 50)).for_each(|_| std::hint::spin_loop());
+            child.order(ChildOrder::Abandon);
+            // A component whose handlers keep four threads gets no more, and threads that the
+            // system does not run just then are kept.
+            while stage.environment.arbiters.check_share(child.name()).is_err() {
+                std::thread::yield_now();
             }
-            drop(child);
-            stage.environment.arbiters.stop();
+            let known = Incarnation(1 + round);
+            let begun = child.start(known, stage.reports.recipient().into());
+            let answered = loop {
+                match census.ask_within(Add(0), Duration::from_secs(30)).await {
+                    Ok(incarnation) => break Incarnation(incarnation),
+                    Err(error)
+                        if matches!(
+                            error.kind,
+                            DeliveryError::PeerDied { .. } | DeliveryError::Restarting
+                        ) => {}
+                    Err(error) => panic!("{error}"),
+                }
+            };
+            assert!(answered >= begun, "{answered} answers, and {begun} was begun");
+        }
+        drop(child);
+        stage.environment.arbiters.stop();
 
-            let mut begun = incarnations.lock().unwrap().clone();
-            let count = begun.len();
-            begun.sort_unstable();
-            begun.dedup();
-            assert_eq!(begun.len(), count, "each incarnation has a number of its own");
-        });
+        let mut begun = incarnations.lock().unwrap().clone();
+        let count = begun.len();
+        begun.sort_unstable();
+        begun.dedup();
+        assert_eq!(begun.len(), count, "each incarnation has a number of its own");
     }
 }

@@ -106,27 +106,22 @@ async fn an_incarnation_that_is_given_up_leaves_the_report_of_the_incarnation_be
 mod real {
     use super::*;
 
-    #[test]
-    fn a_death_at_a_hub_is_reported_though_the_arbiter_ends_first() {
-        let _turn = blastema_doubles::turn();
-        let system = actix_rt::System::new();
-        system.block_on(async {
-            let stage = Stage::on(ArbiterPool::pool(1));
-            let (_child, picky) = stage.start(picky("picky").0).await;
-            let cell = picky.0.clone();
-            let arbiter = cell.record.arbiter().unwrap().arbiter;
+    #[blastema_macros::test(crate = "blastema_doubles::real")]
+    async fn a_death_at_a_hub_is_reported_though_the_arbiter_ends_first() {
+        let stage = Stage::on(ArbiterPool::pool(1));
+        let (_child, picky) = stage.start(picky("picky").0).await;
+        let cell = picky.0.clone();
+        let arbiter = cell.record.arbiter().unwrap().arbiter;
 
-            arbiter.handle.spawn_fn(move || {
-                let executor =
-                    crate::host::executor::executor_here(&cell).unwrap().upgrade().unwrap();
-                executor
-                    .borrow_mut()
-                    .die_of(Box::new("in a condition"), "a condition of a subscription");
-                actix_rt::Arbiter::current().stop();
-            });
-
-            let exited = stage.exits.expect().await;
-            assert!(matches!(exited.exit, ExitReason::Panicked { .. }), "{exited:?}");
+        arbiter.handle.spawn_fn(move || {
+            let executor = crate::host::executor::executor_here(&cell).unwrap().upgrade().unwrap();
+            executor
+                .borrow_mut()
+                .die_of(Box::new("in a condition"), "a condition of a subscription");
+            actix_rt::Arbiter::current().stop();
         });
+
+        let exited = stage.exits.expect().await;
+        assert!(matches!(exited.exit, ExitReason::Panicked { .. }), "{exited:?}");
     }
 }

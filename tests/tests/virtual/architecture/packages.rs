@@ -14,7 +14,11 @@ const PLACES: [(&str, &str, &str); 18] = [
     ("blastema-trees", "", ""),
     ("blastema-contract", "blastema-core", ""),
     // Its actors are tried with probes in their neighbours' places.
-    ("blastema-transports", "blastema-core blastema-contract", "blastema-doubles blastema-ptys"),
+    (
+        "blastema-transports",
+        "blastema-core blastema-contract",
+        "blastema-doubles blastema-macros blastema-ptys",
+    ),
     // Its adapters speak the core's SLCAN.
     ("blastema-ptys", "blastema-core", ""),
     ("blastema-doubles", "blastema-core blastema-contract", ""),
