@@ -3,7 +3,8 @@
 use super::*;
 use crate::CreditPool;
 use crate::contract::layout::{Described, Layout};
-use crate::{Delivery, Incarnation, NodeName};
+use crate::testing::{at, node};
+use crate::{Delivery, Incarnation, PeerIdentity};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -34,10 +35,6 @@ fn count() -> ContractIdentity {
     contract(layout_of_number)
 }
 
-fn node(name: &str) -> NodeName {
-    NodeName::new(name).unwrap()
-}
-
 fn arm() -> ObjectName {
     ObjectName::new("arm").unwrap()
 }
@@ -50,8 +47,11 @@ fn payload() -> Bytes {
     Bytes::from_static(b"payload")
 }
 
-fn at(millis: u64) -> Instant {
-    Instant::from_millis(millis)
+/// A call of the arm at the right end.
+fn call(contract: ContractIdentity, reply_as: Option<u64>) -> Call {
+    let (node, object, payload) = (node("right"), arm(), payload().into());
+    let (id, sent, until, credit) = (None, at(0), None, None);
+    Call { node, object, contract, id, sent, until, payload, reply_as, credit }
 }
 
 /// Two peer protocols; what one sends, the other receives.
@@ -73,14 +73,20 @@ impl Pair {
     }
 
     fn open() -> Self {
-        let mut pair = Pair::new();
+        Pair::new().connected()
+    }
+
+    fn connected(mut self) -> Self {
+        (0..2).for_each(|end| self.ends[end].handle_reachable(self.ids[1 - end]));
+        self.open_sessions();
+        self
+    }
+
+    fn open_sessions(&mut self) {
         for end in 0..2 {
-            let peer = pair.ids[1 - end];
-            pair.ends[end].handle_reachable(peer);
-            pair.ends[end].handle_opened(peer, Incarnation(1), at(0));
+            self.ends[end].handle_opened(self.ids[1 - end], Incarnation(1), at(0));
         }
-        pair.run();
-        pair
+        self.run();
     }
 
     /// Carries out what can be carried out without the application.
@@ -117,32 +123,33 @@ impl Pair {
     }
 
     fn call(&mut self, contract: ContractIdentity, reply_as: Option<u64>) {
-        let (node, object) = (node("right"), arm());
-        let call = Call {
-            node,
-            object,
-            contract,
-            id: None,
-            sent: at(self.now),
-            until: None,
-            payload: payload().into(),
-            reply_as,
-            credit: None,
-        };
-        self.ends[0].handle_call(call);
+        self.ends[0].handle_call(Call { sent: at(self.now), ..call(contract, reply_as) });
         self.run();
+    }
+
+    /// What this end is told by its peer.
+    fn say(&mut self, end: usize, message: PeerMessage) {
+        let peer = self.ids[1 - end];
+        self.ends[end].handle_message(peer, message.encode().into_bytes(), at(self.now));
     }
 
     /// The right end agrees to the binding that it was just asked for.
     fn agree(&mut self) -> SessionEpoch {
-        let outputs = self.take(1);
-        let [PeerProtocolOutput::Bind { peer, epoch, binding, identity, .. }] = &outputs[..] else {
-            panic!("{outputs:?}");
-        };
-        assert_eq!(count().check(identity), Ok(()));
-        self.ends[1].handle_bound(*peer, *epoch, *binding, Ok(()));
+        let (epoch, binding, identity) = self.asked();
+        assert_eq!(count().check(&identity), Ok(()));
+        self.ends[1].handle_bound(self.ids[0], epoch, binding, Ok(()));
         self.run();
-        *epoch
+        epoch
+    }
+
+    /// The binding that the right end was just asked for.
+    fn asked(&mut self) -> (SessionEpoch, u32, Box<PeerIdentity>) {
+        match self.take(1).pop() {
+            Some(PeerProtocolOutput::Bind { epoch, binding, identity, .. }) => {
+                (epoch, binding, identity)
+            }
+            other => panic!("{other:?}"),
+        }
     }
 }
 
@@ -180,13 +187,10 @@ fn the_first_message_binds_and_all_are_served_in_order() {
 fn a_contract_that_differs_is_shown_from_both_sides_and_asked_again_next_time() {
     let mut pair = Pair::open();
     pair.call(contract(layout_of_text), Some(10));
-    let outputs = pair.take(1);
-    let [PeerProtocolOutput::Bind { peer, epoch, binding, identity, .. }] = &outputs[..] else {
-        panic!("{outputs:?}");
-    };
-    let theirs = count().check(identity).unwrap_err().to_string();
+    let (epoch, binding, identity) = pair.asked();
+    let theirs = count().check(&identity).unwrap_err().to_string();
     let why = DeliveryError::ContractDiffers { difference: theirs.clone() };
-    pair.ends[1].handle_bound(*peer, *epoch, *binding, Err((why, Some(count()))));
+    pair.ends[1].handle_bound(pair.ids[0], epoch, binding, Err((why, Some(count()))));
     pair.run();
 
     let outputs = pair.take(0);
@@ -272,21 +276,15 @@ fn a_message_holds_its_credit_while_it_waits_for_its_binding_and_on_to_the_sessi
     let held = || pool.0.load(Ordering::Relaxed);
     let call = |contract| {
         pool.0.fetch_add(1, Ordering::Relaxed);
-        let credit = Some(Credit::new(pool.clone(), 8));
-        let (node, object, payload) = (node("right"), arm(), payload().into());
-        let (id, sent, until, reply_as) = (None, at(0), None, None);
-        Call { node, object, contract, id, sent, until, payload, reply_as, credit }
+        Call { credit: Some(Credit::new(pool.clone(), 8)), ..call(contract, None) }
     };
     for _ in 0..1000 {
         pair.ends[0].handle_call(call(count()));
     }
     pair.run();
     assert_eq!(held(), 1000, "they wait for their binding");
-    let (peer, epoch, binding) = match &pair.take(1)[..] {
-        [PeerProtocolOutput::Bind { peer, epoch, binding, .. }] => (*peer, *epoch, *binding),
-        other => panic!("{other:?}"),
-    };
-    pair.ends[1].handle_bound(peer, epoch, binding, Ok(()));
+    let (epoch, binding, _) = pair.asked();
+    pair.ends[1].handle_bound(pair.ids[0], epoch, binding, Ok(()));
     while let Some(output) = pair.ends[1].poll_output() {
         let PeerProtocolOutput::Send { message, .. } = output else { continue };
         pair.ends[0].handle_message(pair.ids[1], message.into_bytes(), at(0));
@@ -308,11 +306,8 @@ fn a_message_holds_its_credit_while_it_waits_for_its_binding_and_on_to_the_sessi
 fn commands_and_their_replies_are_control() {
     let mut pair = Pair::open();
     pair.call(ContractIdentity { name: "blastema/command", ..count() }, Some(10));
-    let (peer, epoch, binding) = match &pair.take(1)[..] {
-        [PeerProtocolOutput::Bind { peer, epoch, binding, .. }] => (*peer, *epoch, *binding),
-        other => panic!("{other:?}"),
-    };
-    pair.ends[1].handle_bound(peer, epoch, binding, Ok(()));
+    let (epoch, binding, _) = pair.asked();
+    pair.ends[1].handle_bound(pair.ids[0], epoch, binding, Ok(()));
     pair.run();
 
     let (peer, call) = match &pair.take(1)[..] {
@@ -330,13 +325,7 @@ fn commands_and_their_replies_are_control() {
 fn a_peer_that_starts_is_announced_when_its_start_is_over_and_in_every_later_session_at_once() {
     let mut pair = Pair::new();
     pair.ends[1] = PeerProtocol::default();
-    let open = |pair: &mut Pair| {
-        for end in 0..2 {
-            pair.ends[end].handle_opened(pair.ids[1 - end], Incarnation(1), at(0));
-        }
-        pair.run();
-    };
-    open(&mut pair);
+    pair.open_sessions();
     assert_eq!(pair.announced, [None, Some(0)]);
 
     pair.ends[1].handle_started(at(700));
@@ -347,7 +336,7 @@ fn a_peer_that_starts_is_announced_when_its_start_is_over_and_in_every_later_ses
     pair.ends[1].handle_ended(pair.ids[0], &DeliveryError::Restarting);
     pair.run();
     pair.take(1);
-    open(&mut pair);
+    pair.open_sessions();
     assert_eq!(pair.announced, [Some(0), Some(0)]);
 }
 
@@ -355,10 +344,7 @@ fn a_peer_that_starts_is_announced_when_its_start_is_over_and_in_every_later_ses
 fn an_interest_is_told_now_and_to_every_later_session() {
     let mut pair = Pair::new();
     pair.ends[0].handle_interest(topic(), vec![count()]);
-    for end in 0..2 {
-        pair.ends[end].handle_opened(pair.ids[1 - end], Incarnation(1), at(0));
-    }
-    pair.run();
+    pair.open_sessions();
     assert_eq!(pair.announced, [Some(0), Some(1)]);
     let outputs = pair.take(1);
     let [PeerProtocolOutput::Subscribe { peer, subscription, topic: wanted, .. }] = &outputs[..]
@@ -397,21 +383,10 @@ fn a_returned_message_resolves_its_request() {
     pair.call(count(), None);
     pair.agree();
     pair.take(1);
-    let call = |reply_as| Call {
-        node: node("right"),
-        object: arm(),
-        contract: count(),
-        id: None,
-        sent: at(0),
-        until: None,
-        payload: payload().into(),
-        reply_as,
-        credit: None,
-    };
     let full = DeliveryError::WayFull { node: "right".into(), class: TrafficClass::Request };
     let mut outputs = vec![];
     for reply_as in [Some(10), None] {
-        pair.ends[0].handle_call(call(reply_as));
+        pair.ends[0].handle_call(call(count(), reply_as));
         let Some(PeerProtocolOutput::Send { peer, message, .. }) = pair.ends[0].poll_output()
         else {
             panic!("it is sent");
@@ -437,7 +412,7 @@ fn a_peer_that_binds_without_end_is_refused_beyond_the_limit() {
     let identity = count().brief().encode();
     for binding in 0..BINDINGS_MAX as u32 + 3 {
         let bind = PeerMessage::Bind { binding, object: arm(), identity: identity.clone() };
-        pair.ends[0].handle_message(pair.ids[1], bind.encode().into_bytes(), at(0));
+        pair.say(0, bind);
     }
     assert_eq!(pair.ends[0].refusals().too_large, 3);
 }
@@ -446,14 +421,14 @@ fn a_peer_that_binds_without_end_is_refused_beyond_the_limit() {
 fn a_roster_is_taken_once_each_time_that_it_was_asked_for() {
     let mut pair = Pair::open();
     let (peer, text) = (pair.ids[1], payload());
-    let roster = PeerMessage::Roster { text: text.to_vec() }.encode().into_bytes();
-    pair.ends[0].handle_message(peer, roster.clone(), at(0));
+    let roster = || PeerMessage::Roster { text: text.to_vec() };
+    pair.say(0, roster());
     pair.ends[0].handle_roster(1, Bytes::new());
     pair.ends[1].handle_roster(2, text.clone());
     pair.run();
-    pair.ends[0].handle_message(peer, roster, at(0));
+    pair.say(0, roster());
     pair.run();
-    assert_eq!(pair.take(0), [PeerProtocolOutput::Roster { peer, text }]);
+    assert_eq!(pair.take(0), [PeerProtocolOutput::Roster { peer, text: text.clone() }]);
     assert_eq!(pair.ends[0].refusals().unexpected, 2);
 }
 
@@ -462,7 +437,7 @@ fn what_a_peer_says_of_itself_is_refused_or_shortened_where_it_is_too_long() {
     let mut pair = Pair::open();
     let peer = pair.ids[1];
     let mut says = |message: PeerMessage| {
-        pair.ends[0].handle_message(peer, message.encode().into_bytes(), at(0));
+        pair.say(0, message);
         let outputs: Vec<_> = std::iter::from_fn(|| pair.ends[0].poll_output()).collect();
         (outputs, pair.ends[0].refusals().too_large)
     };
@@ -497,12 +472,7 @@ fn what_waited_on_the_way_arrives_with_its_age() {
     // The peer agrees 300 ms later.
     pair.now = 300;
     pair.take(1);
-    let right = pair.ids[1];
-    pair.ends[0].handle_message(
-        right,
-        PeerMessage::Bound { binding: 1 }.encode().into_bytes(),
-        at(300),
-    );
+    pair.say(0, PeerMessage::Bound { binding: 1 });
     pair.run();
 
     let outputs = pair.take(1);
@@ -518,13 +488,10 @@ fn an_object_without_room_is_told_of_once_however_many_bindings_lead_there() {
     let mut numbers = Vec::new();
     for contract in [count(), contract(layout_of_text)] {
         pair.call(contract, None);
-        let outputs = pair.take(1);
-        let [.., PeerProtocolOutput::Bind { epoch, binding, .. }] = &outputs[..] else {
-            panic!("{outputs:?}")
-        };
-        pair.ends[1].handle_bound(left, *epoch, *binding, Ok(()));
+        let (epoch, binding, _) = pair.asked();
+        pair.ends[1].handle_bound(left, epoch, binding, Ok(()));
         pair.run();
-        numbers.push(*binding);
+        numbers.push(binding);
     }
     pair.take(0);
     let mut says = |binding: u32, word: fn(&mut PeerProtocol, NodeId, u32)| {

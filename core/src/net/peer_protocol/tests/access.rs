@@ -24,23 +24,19 @@ fn policy(left: Role, lines: &[&str]) -> AccessPolicy {
 fn guarded(left: Role, lines: &[&str]) -> Pair {
     let mut pair = Pair::new();
     pair.ends[1].handle_access(policy(left, lines));
-    for end in 0..2 {
-        let peer = pair.ids[1 - end];
-        pair.ends[end].handle_reachable(peer);
-        pair.ends[end].handle_opened(peer, Incarnation(1), at(0));
-    }
-    pair.run();
-    pair
+    pair.connected()
 }
 
-fn is_forbidden(output: &PeerProtocolOutput) -> bool {
-    let why = match output {
-        PeerProtocolOutput::Resolve { result: Err(why), .. } => why,
-        PeerProtocolOutput::Lost { why, .. } => why,
-        PeerProtocolOutput::SubscriptionForbidden { why, .. } => why,
-        _ => return false,
+/// One output has come from this end: that what it wanted is forbidden.
+fn assert_forbidden(pair: &mut Pair, end: usize) {
+    let outputs = pair.take(end);
+    let why = match &outputs[..] {
+        [PeerProtocolOutput::Resolve { result: Err(why), .. }] => why,
+        [PeerProtocolOutput::Lost { why, .. }] => why,
+        [PeerProtocolOutput::SubscriptionForbidden { why, .. }] => why,
+        _ => panic!("{outputs:?}"),
     };
-    matches!(why, DeliveryError::Forbidden { .. })
+    assert!(matches!(why, DeliveryError::Forbidden { .. }), "{why}");
 }
 
 /// The verbs that the right end has refused since the last look. Nothing else came out of it.
@@ -61,20 +57,17 @@ fn a_peer_that_may_neither_ask_nor_tell_is_not_bound() {
     let mut pair = guarded(Role::Node, &["only other may ask tell on right/arm"]);
     pair.call(count(), Some(7));
     assert_eq!(refused(&mut pair), ["ask"]);
-    let resolved = pair.take(0);
-    assert!(matches!(&resolved[..], [output] if is_forbidden(output)), "{resolved:?}");
+    assert_forbidden(&mut pair, 0);
 
     let mut pair = guarded(Role::Node, &["only other may recover on right"]);
     pair.call(ContractIdentity { name: "blastema/recover", ..count() }, Some(7));
     assert_eq!(refused(&mut pair), ["recover"]);
-    let resolved = pair.take(0);
-    assert!(matches!(&resolved[..], [output] if is_forbidden(output)), "{resolved:?}");
+    assert_forbidden(&mut pair, 0);
 
     let mut pair = guarded(Role::Guest, &[]);
     pair.call(count(), None);
     assert_eq!(refused(&mut pair), ["ask"]);
-    let lost = pair.take(0);
-    assert!(matches!(&lost[..], [output] if is_forbidden(output)), "{lost:?}");
+    assert_forbidden(&mut pair, 0);
 }
 
 #[test]
@@ -85,7 +78,7 @@ fn a_peer_that_may_only_tell_is_refused_what_it_asks_and_the_reverse() {
     assert!(matches!(&pair.take(1)[..], [PeerProtocolOutput::Serve { call: None, .. }]));
     pair.call(count(), Some(7));
     assert_eq!(refused(&mut pair), ["ask"]);
-    assert!(matches!(&pair.take(0)[..], [output] if is_forbidden(output)));
+    assert_forbidden(&mut pair, 0);
 
     let mut pair = guarded(Role::Node, &["only other may tell on ** by count"]);
     pair.call(count(), Some(7));
@@ -93,8 +86,7 @@ fn a_peer_that_may_only_tell_is_refused_what_it_asks_and_the_reverse() {
     assert!(matches!(&pair.take(1)[..], [PeerProtocolOutput::Serve { call: Some(_), .. }]));
     pair.call(count(), None);
     assert_eq!(refused(&mut pair), ["tell"]);
-    let lost = pair.take(0);
-    assert!(matches!(&lost[..], [output] if is_forbidden(output)), "{lost:?}");
+    assert_forbidden(&mut pair, 0);
 }
 
 #[test]
@@ -103,11 +95,11 @@ fn a_message_on_its_way_when_another_policy_closes_its_binding_is_lost_to_its_se
     pair.call(count(), None);
     pair.agree();
     pair.take(1);
-    let (left, right) = (pair.ids[0], pair.ids[1]);
+    let right = pair.ids[1];
     pair.ends[1].handle_access(policy(Role::Node, &["only other may ask tell on right/arm"]));
     let tell =
         PeerMessage::Tell { binding: 1, timestamp_us: 0, id: None, payload: payload().into() };
-    pair.ends[1].handle_message(left, tell.encode().into_bytes(), at(0));
+    pair.say(1, tell);
     pair.run();
 
     assert_eq!(refused(&mut pair), ["tell"]);
@@ -126,7 +118,7 @@ fn a_peer_says_only_of_what_was_sent_to_it_that_it_was_refused() {
     let why = DeliveryError::Stopped;
     for binding in [1, 7] {
         let refused = PeerMessage::TellRefused { binding, why: why.clone() };
-        pair.ends[0].handle_message(pair.ids[1], refused.encode().into_bytes(), at(0));
+        pair.say(0, refused);
     }
     pair.run();
     assert_eq!((pair.take(0).len(), pair.ends[0].refusals().unexpected), (1, 1));
@@ -138,7 +130,7 @@ fn a_peer_that_may_not_listen_is_told_and_gets_no_event() {
     pair.ends[0].handle_interest(topic(), vec![count()]);
     pair.run();
     assert_eq!(refused(&mut pair), ["listen"]);
-    assert!(matches!(&pair.take(0)[..], [output] if is_forbidden(output)));
+    assert_forbidden(&mut pair, 0);
 }
 
 #[test]
@@ -149,8 +141,7 @@ fn a_peer_that_may_not_publish_is_not_told_who_listens_and_its_events_are_droppe
     assert_eq!(pair.take(0), [], "it is not told");
     // It guesses the number.
     let event = PeerMessage::Event { subscription: 1, timestamp_us: 0, payload: payload().into() };
-    let (left, event) = (pair.ids[0], event.encode().into_bytes());
-    pair.ends[1].handle_message(left, event, at(0));
+    pair.say(1, event);
     pair.run();
     assert_eq!(refused(&mut pair), ["publish"]);
 }
@@ -188,12 +179,12 @@ fn another_policy_counts_at_once_for_bindings_and_the_session_goes_on() {
     assert_eq!(pair.take(0), [ready], "nothing waits for what it may not do");
     assert_eq!(pair.take(1), [], "the peer has tried nothing yet");
     // What comes through the old binding is refused, and so is a new one.
-    pair.ends[1].handle_message(left, on_its_way.encode().into_bytes(), at(0));
+    pair.say(1, on_its_way);
     pair.run();
     assert_eq!(refused(&mut pair), ["ask"]);
     pair.call(count(), Some(8));
     assert_eq!(refused(&mut pair), ["ask"]);
-    assert!(matches!(&pair.take(0)[..], [output] if is_forbidden(output)));
+    assert_forbidden(&mut pair, 0);
     // What was served before is answered.
     pair.ends[1].handle_answer(left, epoch, 1, Ok(payload().into()), at(0));
     pair.run();
@@ -222,7 +213,7 @@ fn another_policy_counts_at_once_for_who_listens() {
     }
     let ended = PeerProtocolOutput::Unsubscribe { peer: pair.ids[0], subscription: 1 };
     assert_eq!(pair.take(1), [ended]);
-    assert!(matches!(&pair.take(0)[..], [output] if is_forbidden(output)));
+    assert_forbidden(&mut pair, 0);
 
     for _ in 0..2 {
         pair.ends[1].handle_access(policy(Role::Node, &[]));
@@ -255,12 +246,11 @@ fn another_policy_counts_at_once_for_who_publishes() {
 #[test]
 fn a_number_in_use_stands_for_what_it_stood_for_first() {
     let mut pair = guarded(Role::Node, &["only other may ask tell on right/arm"]);
-    let left = pair.ids[0];
     let identity = count().full().encode();
     for object in ["leg", "arm", "leg"] {
         let object = ObjectName::new(object).expect("a name");
         let bind = PeerMessage::Bind { binding: 5, object, identity: identity.clone() };
-        pair.ends[1].handle_message(left, bind.encode().into_bytes(), at(0));
+        pair.say(1, bind);
     }
     pair.run();
     let bound = pair.take(1);
@@ -269,7 +259,7 @@ fn a_number_in_use_stands_for_what_it_stood_for_first() {
     for topic in ["news", "weather"] {
         let (topic, identities) = (topic.to_owned(), vec![identity.clone()]);
         let subscribe = PeerMessage::Subscribe { subscription: 5, topic, identities };
-        pair.ends[1].handle_message(left, subscribe.encode().into_bytes(), at(0));
+        pair.say(1, subscribe);
     }
     let subscribed = pair.ends[1].poll_output();
     let Some(PeerProtocolOutput::Subscribe { topic, .. }) = subscribed else {
@@ -287,7 +277,7 @@ fn a_subscription_has_one_contract_in_several_versions() {
     let topic = "news".to_owned();
     let subscribe =
         PeerMessage::Subscribe { subscription: 1, topic, identities: identities.into() };
-    pair.ends[1].handle_message(pair.ids[0], subscribe.encode().into_bytes(), at(0));
+    pair.say(1, subscribe);
     pair.run();
     assert_eq!(pair.take(1), []);
 }
@@ -305,10 +295,10 @@ fn a_peer_is_believed_once_that_it_refuses_a_subscription_and_only_one_that_ther
     };
     for subscription in [7, 1, 1] {
         let refused = PeerMessage::SubscribeRefused { subscription, why: why.clone() };
-        pair.ends[1].handle_message(pair.ids[0], refused.encode().into_bytes(), at(0));
+        pair.say(1, refused);
     }
     pair.run();
-    assert!(matches!(&pair.take(1)[..], [output] if is_forbidden(output)));
+    assert_forbidden(&mut pair, 1);
     // Who ends a subscription is not refused it any more.
     pair.ends[1].handle_interest(topic(), vec![]);
     pair.run();
@@ -323,9 +313,9 @@ fn a_peer_is_believed_once_that_it_refuses_a_subscription_and_only_one_that_ther
         panic!("{told:?}");
     };
     let refused = PeerMessage::SubscribeRefused { subscription, why };
-    pair.ends[1].handle_message(pair.ids[0], refused.encode().into_bytes(), at(0));
+    pair.say(1, refused);
     pair.run();
-    assert!(matches!(&pair.take(1)[..], [output] if is_forbidden(output)));
+    assert_forbidden(&mut pair, 1);
     pair.ends[1].handle_access(policy(Role::Node, &["only other may publish on news"]));
     pair.run();
     let allowed = PeerProtocolOutput::SubscriptionsAllowed { peer: pair.ids[0] };
@@ -343,22 +333,12 @@ fn what_a_node_says_to_its_own_components_no_peer_says() {
 fn the_component_of_a_service_is_no_way_around_the_rights_at_the_service() {
     let mut pair = guarded(Role::Node, &["only other may ask on map"]);
     for (object, is_open) in [("map/replica", false), ("map/other", true)] {
-        let call = Call {
-            node: node("right"),
-            object: ObjectName::new(object).expect("a name"),
-            contract: count(),
-            id: None,
-            sent: at(0),
-            until: None,
-            payload: payload().into(),
-            reply_as: None,
-            credit: None,
-        };
-        pair.ends[0].handle_call(call);
+        let object = crate::testing::object(object);
+        pair.ends[0].handle_call(Call { object, ..call(count(), None) });
         pair.run();
         let bound = pair.take(1);
         let is_bound = matches!(&bound[..], [PeerProtocolOutput::Bind { .. }]);
-        assert_eq!(is_bound, is_open, "{object}: {bound:?}");
+        assert_eq!(is_bound, is_open, "{is_open}: {bound:?}");
     }
 }
 
@@ -370,9 +350,9 @@ fn what_a_peer_has_asked_for_stays_bounded_however_it_asks() {
     for number in 0..2 * BINDINGS_MAX as u32 {
         // What is refused by the object, and ended subscriptions that never were, make no room.
         let bind = PeerMessage::Bind { binding: number, object: arm(), identity: identity.clone() };
-        pair.ends[1].handle_message(left, bind.encode().into_bytes(), at(0));
+        pair.say(1, bind);
         let gone = PeerMessage::Unsubscribe { subscription: number };
-        pair.ends[1].handle_message(left, gone.encode().into_bytes(), at(0));
+        pair.say(1, gone);
         while let Some(output) = pair.ends[1].poll_output() {
             if let PeerProtocolOutput::Bind { peer, epoch, binding, .. } = output {
                 let unknown = DeliveryError::Unknown { name: "arm".into() };
@@ -397,7 +377,7 @@ fn only_operators_and_nodes_that_a_line_names_operate_a_node() {
             assert!(matches!(&bound[..], [PeerProtocolOutput::Bind { .. }]), "{bound:?}");
         } else {
             assert_eq!(refused(&mut pair), ["operate"]);
-            assert!(matches!(&pair.take(0)[..], [output] if is_forbidden(output)));
+            assert_forbidden(&mut pair, 0);
         }
     };
 
