@@ -6,6 +6,8 @@
 mod backoff;
 mod hash;
 mod sliding_window;
+#[cfg(test)]
+mod testing;
 mod timer;
 
 pub mod connection;

@@ -96,10 +96,7 @@ impl<T> SlidingWindow<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn at(millis: u64) -> Instant {
-        Instant::from_millis(millis)
-    }
+    use crate::testing::at;
 
     #[test]
     fn the_event_beyond_the_limit_is_refused_and_old_ones_are_forgotten() {

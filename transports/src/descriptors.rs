@@ -54,26 +54,24 @@ impl DescriptorWarning {
 #[cfg(all(test, any(feature = "tcp", feature = "unix")))]
 mod tests {
     use super::*;
-    use blastema_doubles::{advance, paused};
+    use blastema_doubles::advance;
     use std::task::Waker;
 
-    #[test]
-    fn want_of_files_is_warned_of_once_a_minute_and_nothing_else_is() {
-        paused(async {
-            let [process, system] = TOO_MANY_FILES.map(io::Error::from_raw_os_error);
-            let other = io::Error::from(io::ErrorKind::ConnectionRefused);
-            let mut warning = DescriptorWarning::default();
-            let mut warns = |error: &io::Error| {
-                let mut task = task::Context::from_waker(Waker::noop());
-                warning.warn("no connection", error, &mut task)
-            };
+    #[blastema_macros::test(crate = "blastema_doubles")]
+    async fn want_of_files_is_warned_of_once_a_minute_and_nothing_else_is() {
+        let [process, system] = TOO_MANY_FILES.map(io::Error::from_raw_os_error);
+        let other = io::Error::from(io::ErrorKind::ConnectionRefused);
+        let mut warning = DescriptorWarning::default();
+        let mut warns = |error: &io::Error| {
+            let mut task = task::Context::from_waker(Waker::noop());
+            warning.warn("no connection", error, &mut task)
+        };
 
-            assert!(!warns(&other));
-            assert!(warns(&process));
-            assert!(!warns(&system));
-            advance(BETWEEN_WARNINGS).await;
-            assert!(!warns(&other));
-            assert!(warns(&system));
-        });
+        assert!(!warns(&other));
+        assert!(warns(&process));
+        assert!(!warns(&system));
+        advance(BETWEEN_WARNINGS).await;
+        assert!(!warns(&other));
+        assert!(warns(&system));
     }
 }

@@ -260,20 +260,18 @@ mod tests {
         assert!(heartbeat.is_fenced() && heartbeat.is_lost());
     }
 
-    #[test]
-    fn who_is_isolated_is_told_so_and_who_is_fenced_is_told_that() {
-        paused(async {
-            assert_eq!(send_refusal(), None);
-            let heartbeat = ArbiterHeartbeat::enrol_here();
-            heartbeat.mute(true);
-            assert_eq!(send_refusal(), Some(DeliveryError::SenderIsolated));
-            heartbeat.fence();
-            assert_eq!(send_refusal(), Some(DeliveryError::Fenced));
-            heartbeat.mute(false);
-            assert_eq!(send_refusal(), Some(DeliveryError::Fenced));
-            heartbeat.lift();
-            assert_eq!(send_refusal(), None);
-        });
+    #[blastema_macros::test(crate = "blastema_doubles")]
+    async fn who_is_isolated_is_told_so_and_who_is_fenced_is_told_that() {
+        assert_eq!(send_refusal(), None);
+        let heartbeat = ArbiterHeartbeat::enrol_here();
+        heartbeat.mute(true);
+        assert_eq!(send_refusal(), Some(DeliveryError::SenderIsolated));
+        heartbeat.fence();
+        assert_eq!(send_refusal(), Some(DeliveryError::Fenced));
+        heartbeat.mute(false);
+        assert_eq!(send_refusal(), Some(DeliveryError::Fenced));
+        heartbeat.lift();
+        assert_eq!(send_refusal(), None);
     }
 
     #[test]

@@ -477,115 +477,102 @@ mod tests {
     mod real {
         use super::*;
 
-        #[test]
-        fn arbiters_that_were_stopped_start_no_thread_again() {
-            let _turn = blastema_doubles::turn();
-            System::new().block_on(async {
-                let arbiters = ArbiterPool::pool(1);
-                arbiters.place(&name("arm"), OWN).expect("a thread");
+        #[blastema_macros::test(crate = "blastema_doubles::real")]
+        async fn arbiters_that_were_stopped_start_no_thread_again() {
+            let arbiters = ArbiterPool::pool(1);
+            arbiters.place(&name("arm"), OWN).expect("a thread");
 
-                arbiters.stop();
+            arbiters.stop();
 
-                assert!(arbiters.place(&name("arm"), OWN).is_err());
-                assert!(arbiters.place(&name("arm"), None).is_err());
-            });
+            assert!(arbiters.place(&name("arm"), OWN).is_err());
+            assert!(arbiters.place(&name("arm"), None).is_err());
         }
 
-        #[test]
-        fn a_thread_that_does_not_answer_is_no_place_and_no_more_than_some_are_started_for_it() {
-            let _turn = blastema_doubles::turn();
-            System::new().block_on(async {
-                let arbiters = ArbiterPool::pool(1);
-                let mut holds = Vec::new();
-                let mut ids = Vec::new();
-                for _ in 0..=SPARE {
-                    let slot = place(&arbiters);
-                    holds.push(keep(&slot));
-                    until_silent(&slot).await;
-                    ids.push(slot.heartbeat.id());
-                }
-                assert!(ids.is_sorted_by(|a, b| a < b), "each on a fresh thread: {ids:?}");
-
-                let last = place(&arbiters);
-                assert!(ids.contains(&last.heartbeat.id()), "none is left that could be started");
-                holds.pop();
-                arbiters.stop();
-            });
-        }
-
-        #[test]
-        fn a_thread_that_no_component_keeps_is_a_place_however_late_its_beat_is() {
-            let _turn = blastema_doubles::turn();
-            System::new().block_on(async {
-                let arbiters = ArbiterPool::pool(1);
+        #[blastema_macros::test(crate = "blastema_doubles::real")]
+        async fn a_thread_that_does_not_answer_is_no_place_and_no_more_than_some_are_started_for_it()
+         {
+            let arbiters = ArbiterPool::pool(1);
+            let mut holds = Vec::new();
+            let mut ids = Vec::new();
+            for _ in 0..=SPARE {
                 let slot = place(&arbiters);
-                let begun = start_on(&arbiters, &slot).recv_timeout(PATIENCE);
-                assert_eq!(begun, Ok(slot.heartbeat.id()), "it has begun to beat");
-                let late = platform::now() + Duration::from_secs(3600);
-
-                assert!(slot.answers(late), "it waits for a processor");
-                slot.heartbeat.run(Some(0));
-                assert!(!slot.answers(late), "a component keeps it");
-                arbiters.stop();
-            });
-        }
-
-        #[test]
-        fn an_incarnation_that_waits_on_a_thread_which_does_not_answer_is_moved_and_begins_once() {
-            let _turn = blastema_doubles::turn();
-            System::new().block_on(async {
-                let arbiters = ArbiterPool::pool(1);
-                let slot = place(&arbiters);
-                let hold = keep(&slot);
-                let begins = start_on(&arbiters, &slot);
-                arbiters.move_pending(slot.heartbeat.last_beat().expect("it has beaten"));
+                holds.push(keep(&slot));
                 until_silent(&slot).await;
-                assert!(begins.try_recv().is_err(), "it waits");
+                ids.push(slot.heartbeat.id());
+            }
+            assert!(ids.is_sorted_by(|a, b| a < b), "each on a fresh thread: {ids:?}");
 
-                arbiters.move_pending(platform::now());
-
-                let begun = begins.recv_timeout(PATIENCE).expect("it begins");
-                assert_ne!(begun, slot.heartbeat.id());
-                drop(hold);
-                let after = start_on(&arbiters, &slot);
-                assert_eq!(after.recv_timeout(PATIENCE), Ok(slot.heartbeat.id()));
-                assert!(begins.try_recv().is_err(), "once");
-                arbiters.stop();
-            });
+            let last = place(&arbiters);
+            assert!(ids.contains(&last.heartbeat.id()), "none is left that could be started");
+            holds.pop();
+            arbiters.stop();
         }
 
-        #[test]
-        fn a_culprit_that_keeps_its_share_gets_no_more_and_others_do() {
-            let _turn = blastema_doubles::turn();
-            System::new().block_on(async {
-                let arbiters = ArbiterPool::pool(1);
-                let (arm, leg) = (name("arm"), name("leg"));
-                let mut holds = Vec::new();
-                for _ in 0..THREADS_OF_ONE {
-                    let slot = arbiters.place(&arm, OWN).expect("a thread");
-                    holds.push(keep(&slot));
-                    arbiters.fence(&slot, &arm);
-                    assert_eq!(arbiters.abandoned(), 0, "it may come back");
-                }
+        #[blastema_macros::test(crate = "blastema_doubles::real")]
+        async fn a_thread_that_no_component_keeps_is_a_place_however_late_its_beat_is() {
+            let arbiters = ArbiterPool::pool(1);
+            let slot = place(&arbiters);
+            let begun = start_on(&arbiters, &slot).recv_timeout(PATIENCE);
+            assert_eq!(begun, Ok(slot.heartbeat.id()), "it has begun to beat");
+            let late = platform::now() + Duration::from_secs(3600);
 
-                let refused = arbiters.place(&arm, OWN).err().expect("it keeps its share");
-                assert!(refused.to_string().contains("arm keeps 4 threads"), "{refused}");
-                let slot = arbiters.place(&leg, OWN).expect("a thread for another");
-                arbiters.fence(&slot, &leg);
-                let kept: Vec<_> =
-                    lock(&arbiters.0.pool).own.iter().map(|s| s.heartbeat.clone()).collect();
-                assert!(kept.iter().filter(|heartbeat| arbiters.mark_lost(heartbeat)).count() >= 4);
-                assert_eq!(arbiters.lost()[&arm], THREADS_OF_ONE);
+            assert!(slot.answers(late), "it waits for a processor");
+            slot.heartbeat.run(Some(0));
+            assert!(!slot.answers(late), "a component keeps it");
+            arbiters.stop();
+        }
 
-                holds.clear();
-                while arbiters.lost().contains_key(&arm) {
-                    let kept = &lock(&arbiters.0.pool).kept;
-                    kept.iter().filter_map(|kept| kept.slot.as_ref()).for_each(|s| s.return_late());
-                    std::thread::yield_now();
-                }
-                arbiters.place(&arm, OWN).expect("its threads came back");
-                arbiters.stop();
-            });
+        #[blastema_macros::test(crate = "blastema_doubles::real")]
+        async fn an_incarnation_that_waits_on_a_thread_which_does_not_answer_is_moved_and_begins_once()
+         {
+            let arbiters = ArbiterPool::pool(1);
+            let slot = place(&arbiters);
+            let hold = keep(&slot);
+            let begins = start_on(&arbiters, &slot);
+            arbiters.move_pending(slot.heartbeat.last_beat().expect("it has beaten"));
+            until_silent(&slot).await;
+            assert!(begins.try_recv().is_err(), "it waits");
+
+            arbiters.move_pending(platform::now());
+
+            let begun = begins.recv_timeout(PATIENCE).expect("it begins");
+            assert_ne!(begun, slot.heartbeat.id());
+            drop(hold);
+            let after = start_on(&arbiters, &slot);
+            assert_eq!(after.recv_timeout(PATIENCE), Ok(slot.heartbeat.id()));
+            assert!(begins.try_recv().is_err(), "once");
+            arbiters.stop();
+        }
+
+        #[blastema_macros::test(crate = "blastema_doubles::real")]
+        async fn a_culprit_that_keeps_its_share_gets_no_more_and_others_do() {
+            let arbiters = ArbiterPool::pool(1);
+            let (arm, leg) = (name("arm"), name("leg"));
+            let mut holds = Vec::new();
+            for _ in 0..THREADS_OF_ONE {
+                let slot = arbiters.place(&arm, OWN).expect("a thread");
+                holds.push(keep(&slot));
+                arbiters.fence(&slot, &arm);
+                assert_eq!(arbiters.abandoned(), 0, "it may come back");
+            }
+
+            let refused = arbiters.place(&arm, OWN).err().expect("it keeps its share");
+            assert!(refused.to_string().contains("arm keeps 4 threads"), "{refused}");
+            let slot = arbiters.place(&leg, OWN).expect("a thread for another");
+            arbiters.fence(&slot, &leg);
+            let kept: Vec<_> =
+                lock(&arbiters.0.pool).own.iter().map(|s| s.heartbeat.clone()).collect();
+            assert!(kept.iter().filter(|heartbeat| arbiters.mark_lost(heartbeat)).count() >= 4);
+            assert_eq!(arbiters.lost()[&arm], THREADS_OF_ONE);
+
+            holds.clear();
+            while arbiters.lost().contains_key(&arm) {
+                let kept = &lock(&arbiters.0.pool).kept;
+                kept.iter().filter_map(|kept| kept.slot.as_ref()).for_each(|s| s.return_late());
+                std::thread::yield_now();
+            }
+            arbiters.place(&arm, OWN).expect("its threads came back");
+            arbiters.stop();
         }
     }
 }

@@ -165,7 +165,6 @@ impl TurnBudget {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use blastema_doubles::paused;
     use std::cell::Cell;
     use std::future::poll_fn;
     use std::rc::Rc;
@@ -179,114 +178,96 @@ mod tests {
         }
     }
 
-    fn in_real_time<F: Future>(test: F) -> F::Output {
-        actix_rt::System::new().block_on(test)
-    }
-
-    #[test]
-    fn no_handler_takes_long_on_a_paused_clock() {
-        paused(async {
-            let budget = TurnBudget::default();
-            budget.begin();
-            burn(Duration::from_millis(30));
-            assert!(budget.lasts() && budget.is_trusted());
-        });
+    #[blastema_macros::test(crate = "blastema_doubles")]
+    async fn no_handler_takes_long_on_a_paused_clock() {
+        let budget = TurnBudget::default();
+        budget.begin();
+        burn(Duration::from_millis(30));
+        assert!(budget.lasts() && budget.is_trusted());
     }
 
     /// On real threads.
     mod real {
         use super::*;
 
-        #[test]
-        fn quick_messages_after_a_long_handler_are_trusted_again_in_turns_that_go_on() {
-            let _turn = blastema_doubles::turn();
-            in_real_time(async {
-                let budget = TurnBudget::default();
-                budget.begin();
-                burn(Duration::from_millis(30));
-                assert!(!budget.lasts());
-                budget.end(Waker::noop());
-                tokio::task::yield_now().await;
+        #[blastema_macros::test(crate = "blastema_doubles::real")]
+        async fn quick_messages_after_a_long_handler_are_trusted_again_in_turns_that_go_on() {
+            let budget = TurnBudget::default();
+            budget.begin();
+            burn(Duration::from_millis(30));
+            assert!(!budget.lasts());
+            budget.end(Waker::noop());
+            tokio::task::yield_now().await;
 
-                budget.begin();
-                assert!(budget.lasts(), "it is measured, and short");
-                budget.pause(Waker::noop());
-                budget.end(Waker::noop());
-                assert!(budget.is_trusted());
+            budget.begin();
+            assert!(budget.lasts(), "it is measured, and short");
+            budget.pause(Waker::noop());
+            budget.end(Waker::noop());
+            assert!(budget.is_trusted());
 
-                budget.begin();
-                assert!(budget.lasts(), "the coarse clock counts from here on");
-            });
+            budget.begin();
+            assert!(budget.lasts(), "the coarse clock counts from here on");
         }
 
-        #[test]
-        fn one_long_handler_ends_the_turn_and_the_following_turns_are_measured() {
-            let _turn = blastema_doubles::turn();
-            in_real_time(async {
-                let budget = TurnBudget::default();
-                budget.begin();
-                burn(Duration::from_millis(30));
-                assert!(!budget.lasts(), "after one handler of 30 ms");
-                budget.end(Waker::noop());
-                assert!(budget.is_resting() && !budget.is_trusted());
+        #[blastema_macros::test(crate = "blastema_doubles::real")]
+        async fn one_long_handler_ends_the_turn_and_the_following_turns_are_measured() {
+            let budget = TurnBudget::default();
+            budget.begin();
+            burn(Duration::from_millis(30));
+            assert!(!budget.lasts(), "after one handler of 30 ms");
+            budget.end(Waker::noop());
+            assert!(budget.is_resting() && !budget.is_trusted());
 
-                tokio::task::yield_now().await;
-                assert!(!budget.is_resting());
-                budget.begin();
-                burn(Duration::from_millis(1));
-                assert!(!budget.lasts(), "after one handler of 1 ms");
-            });
+            tokio::task::yield_now().await;
+            assert!(!budget.is_resting());
+            budget.begin();
+            burn(Duration::from_millis(1));
+            assert!(!budget.lasts(), "after one handler of 1 ms");
         }
 
-        #[test]
-        fn a_measured_turn_that_is_short_is_trusted_again() {
-            let _turn = blastema_doubles::turn();
-            in_real_time(async {
-                let budget = TurnBudget::default();
-                budget.overdraw(Waker::noop());
-                tokio::task::yield_now().await;
-                // A busy machine may stretch any turn.
-                for _ in 0..10_000 {
-                    budget.begin();
-                    budget.lasts();
-                    budget.end(Waker::noop());
-                    if budget.is_trusted() {
-                        return;
-                    }
-                    tokio::task::yield_now().await;
+        #[blastema_macros::test(crate = "blastema_doubles::real")]
+        async fn a_measured_turn_that_is_short_is_trusted_again() {
+            let budget = TurnBudget::default();
+            budget.overdraw(Waker::noop());
+            tokio::task::yield_now().await;
+            // A busy machine may stretch any turn.
+            for _ in 0..10_000 {
+                budget.begin();
+                budget.lasts();
+                budget.end(Waker::noop());
+                if budget.is_trusted() {
+                    return;
                 }
-                panic!("never short");
-            });
+                tokio::task::yield_now().await;
+            }
+            panic!("never short");
         }
 
-        #[test]
-        fn a_rest_ends_after_due_timers_and_not_by_another_wake() {
-            let _turn = blastema_doubles::turn();
-            in_real_time(async {
-                let budget = Rc::new(TurnBudget::default());
-                let turns = Rc::new(Cell::new(0));
-                let (rested, counted) = (budget.clone(), turns.clone());
-                let busy = actix_rt::spawn(poll_fn(move |cx| {
-                    if rested.is_resting() {
-                        cx.waker().wake_by_ref(); // As a neighbour would that sends to it all the time.
-                        return Poll::<()>::Pending;
-                    }
-                    rested.begin();
-                    burn(Duration::from_millis(12));
-                    rested.lasts();
-                    rested.end(cx.waker());
-                    cx.waker().wake_by_ref();
-                    counted.set(counted.get() + 1);
-                    Poll::Pending
-                }));
-                tokio::task::yield_now().await;
-                for _ in 0..5 {
-                    let before = turns.get();
-                    tokio::time::sleep(Duration::from_millis(1)).await;
-                    assert!(turns.get() - before <= 2, "one that was under way, and one more");
+        #[blastema_macros::test(crate = "blastema_doubles::real")]
+        async fn a_rest_ends_after_due_timers_and_not_by_another_wake() {
+            let budget = Rc::new(TurnBudget::default());
+            let turns = Rc::new(Cell::new(0));
+            let (rested, counted) = (budget.clone(), turns.clone());
+            let busy = actix_rt::spawn(poll_fn(move |cx| {
+                if rested.is_resting() {
+                    cx.waker().wake_by_ref(); // As a neighbour would that sends to it all the time.
+                    return Poll::<()>::Pending;
                 }
-                busy.abort();
-            });
+                rested.begin();
+                burn(Duration::from_millis(12));
+                rested.lasts();
+                rested.end(cx.waker());
+                cx.waker().wake_by_ref();
+                counted.set(counted.get() + 1);
+                Poll::Pending
+            }));
+            tokio::task::yield_now().await;
+            for _ in 0..5 {
+                let before = turns.get();
+                tokio::time::sleep(Duration::from_millis(1)).await;
+                assert!(turns.get() - before <= 2, "one that was under way, and one more");
+            }
+            busy.abort();
         }
     }
 }

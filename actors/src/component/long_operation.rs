@@ -65,33 +65,31 @@ impl Drop for LongOperation {
 mod tests {
     use super::*;
     use crate::liveness::activity::ActivitySlot;
-    use blastema_doubles::{advance, paused};
+    use blastema_doubles::advance;
 
     const MS: Duration = Duration::from_millis(1);
 
-    #[test]
-    fn the_latest_end_counts_in_whatever_order_operations_end() {
-        paused(async {
-            let slot = ActivitySlot::claim();
-            let operations = Arc::new(LongOperations::new(slot.activity, Arc::default()));
-            let allowance = || slot.activity.read().component.allowance;
+    #[blastema_macros::test(crate = "blastema_doubles")]
+    async fn the_latest_end_counts_in_whatever_order_operations_end() {
+        let slot = ActivitySlot::claim();
+        let operations = Arc::new(LongOperations::new(slot.activity, Arc::default()));
+        let allowance = || slot.activity.read().component.allowance;
 
-            let outer = operations.begin(800 * MS);
-            let inner = operations.begin(10 * MS);
-            assert_eq!(allowance(), 800 * MS, "a shorter one does not shorten it");
-            advance(100 * MS).await;
-            drop(inner);
-            assert_eq!(allowance(), 700 * MS);
+        let outer = operations.begin(800 * MS);
+        let inner = operations.begin(10 * MS);
+        assert_eq!(allowance(), 800 * MS, "a shorter one does not shorten it");
+        advance(100 * MS).await;
+        drop(inner);
+        assert_eq!(allowance(), 700 * MS);
 
-            let longer = operations.begin(2000 * MS);
-            drop(outer);
-            assert_eq!(allowance(), 2000 * MS);
-            let last = operations.begin(100 * MS);
-            drop(longer);
-            assert_eq!(allowance(), 100 * MS);
-            drop(last);
-            assert_eq!(allowance(), Duration::ZERO);
-        });
+        let longer = operations.begin(2000 * MS);
+        drop(outer);
+        assert_eq!(allowance(), 2000 * MS);
+        let last = operations.begin(100 * MS);
+        drop(longer);
+        assert_eq!(allowance(), 100 * MS);
+        drop(last);
+        assert_eq!(allowance(), Duration::ZERO);
     }
 
     #[test]

@@ -427,7 +427,7 @@ mod tests {
     use crate::runtime::reports::FaultReports;
     use blastema_core::Machine;
     use blastema_core::directory::ClaimPolicy;
-    use blastema_doubles::{Probe, advance, paused, settle};
+    use blastema_doubles::{Probe, advance, settle};
 
     fn wanted() -> ClaimRequest {
         ClaimRequest::new(ObjectName::new("map").unwrap(), ClaimPolicy::Refuse)
@@ -448,100 +448,92 @@ mod tests {
         }
     }
 
-    #[test]
-    fn that_a_component_goes_without_its_name_is_over_when_it_has_it() {
-        paused(async {
-            let (declared, cleared) =
-                (Probe::<FaultDeclared>::start(), Probe::<DeclaredFaultCleared>::start());
-            let (faults, over) = (Some(declared.recipient()), Some(cleared.recipient()));
-            let names = DirectoryTable::default();
-            let setup = DirectorySetup { faults, cleared: over, ..setup(&names) };
-            let _ports = DirectoryActor::start(setup, &Guardian::default(), None);
-            let claim = Claim::make(&names, wanted()).await.unwrap();
+    #[blastema_macros::test(crate = "blastema_doubles")]
+    async fn that_a_component_goes_without_its_name_is_over_when_it_has_it() {
+        let (declared, cleared) =
+            (Probe::<FaultDeclared>::start(), Probe::<DeclaredFaultCleared>::start());
+        let (faults, over) = (Some(declared.recipient()), Some(cleared.recipient()));
+        let names = DirectoryTable::default();
+        let setup = DirectorySetup { faults, cleared: over, ..setup(&names) };
+        let _ports = DirectoryActor::start(setup, &Guardian::default(), None);
+        let claim = Claim::make(&names, wanted()).await.unwrap();
 
-            drop(names.claim(wanted(), 98, true));
-            assert_eq!(declared.expect().await.kind, FaultKind::NameTaken);
-            cleared.expect_none_for(Duration::from_secs(100)).await;
-            drop(claim);
-            drop(names.claim(wanted(), 99, true));
-            cleared.expect_none_for(Duration::from_secs(100)).await;
-            names.withdraw(&wanted().name, 99);
-            // The next incarnation of the one that was refused.
-            drop(names.claim(wanted(), 98, true));
+        drop(names.claim(wanted(), 98, true));
+        assert_eq!(declared.expect().await.kind, FaultKind::NameTaken);
+        cleared.expect_none_for(Duration::from_secs(100)).await;
+        drop(claim);
+        drop(names.claim(wanted(), 99, true));
+        cleared.expect_none_for(Duration::from_secs(100)).await;
+        names.withdraw(&wanted().name, 99);
+        // The next incarnation of the one that was refused.
+        drop(names.claim(wanted(), 98, true));
 
-            assert_eq!(cleared.expect().await.kind, FaultKind::NameTaken);
-        });
+        assert_eq!(cleared.expect().await.kind, FaultKind::NameTaken);
     }
 
-    #[test]
-    fn that_a_component_goes_without_its_name_is_over_when_it_is_removed() {
-        paused(async {
-            let cleared = Probe::<DeclaredFaultCleared>::start();
-            let names = DirectoryTable::default();
-            let setup = DirectorySetup { cleared: Some(cleared.recipient()), ..setup(&names) };
-            let _ports = DirectoryActor::start(setup, &Guardian::default(), None);
-            let _claim = Claim::make(&names, wanted()).await.unwrap();
-            drop(names.claim(wanted(), 98, true));
-            drop(names.claim(wanted(), 99, true));
+    #[blastema_macros::test(crate = "blastema_doubles")]
+    async fn that_a_component_goes_without_its_name_is_over_when_it_is_removed() {
+        let cleared = Probe::<DeclaredFaultCleared>::start();
+        let names = DirectoryTable::default();
+        let setup = DirectorySetup { cleared: Some(cleared.recipient()), ..setup(&names) };
+        let _ports = DirectoryActor::start(setup, &Guardian::default(), None);
+        let _claim = Claim::make(&names, wanted()).await.unwrap();
+        drop(names.claim(wanted(), 98, true));
+        drop(names.claim(wanted(), 99, true));
 
-            names.withdraw(&wanted().name, 98);
-            cleared.expect_none_for(Duration::from_secs(100)).await;
-            names.withdraw(&wanted().name, 99);
+        names.withdraw(&wanted().name, 98);
+        cleared.expect_none_for(Duration::from_secs(100)).await;
+        names.withdraw(&wanted().name, 99);
 
-            assert_eq!(cleared.expect().await.kind, FaultKind::NameTaken);
-        });
+        assert_eq!(cleared.expect().await.kind, FaultKind::NameTaken);
     }
 
-    #[test]
-    fn what_is_claimed_outlives_a_panic_of_those_who_keep_it() {
-        paused(async {
-            let names = DirectoryTable::default();
-            let setup = setup(&names);
-            let ports = DirectoryActor::start(setup, &Guardian::default(), None);
-            let claim = Claim::make(&names, wanted()).await.unwrap();
-            let epoch = claim.epoch().unwrap();
+    #[blastema_macros::test(crate = "blastema_doubles")]
+    async fn what_is_claimed_outlives_a_panic_of_those_who_keep_it() {
+        let names = DirectoryTable::default();
+        let setup = setup(&names);
+        let ports = DirectoryActor::start(setup, &Guardian::default(), None);
+        let claim = Claim::make(&names, wanted()).await.unwrap();
+        let epoch = claim.epoch().unwrap();
 
-            ports.panic.do_send(InjectPanic);
-            settle().await;
+        ports.panic.do_send(InjectPanic);
+        settle().await;
 
-            assert_eq!(claim.epoch(), Some(epoch));
-            assert_eq!(names.holder(claim.name()).unwrap().epoch, epoch);
-            assert!(Claim::make(&names, wanted()).await.is_err(), "it has it still");
-            drop(claim);
-            advance(CLAIM_LEASE).await;
-            assert_eq!(names.rows(), []);
-        });
+        assert_eq!(claim.epoch(), Some(epoch));
+        assert_eq!(names.holder(claim.name()).unwrap().epoch, epoch);
+        assert!(Claim::make(&names, wanted()).await.is_err(), "it has it still");
+        drop(claim);
+        advance(CLAIM_LEASE).await;
+        assert_eq!(names.rows(), []);
     }
 
-    #[test]
-    fn a_claimant_whose_claim_was_lost_in_a_panic_learns_how_it_stands() {
-        paused(async {
-            let names = DirectoryTable::default();
-            let ports = DirectoryActor::start(setup(&names), &Guardian::default(), None);
-            let claim = Claim::make(&names, wanted()).await.unwrap();
-            let node = NodeName::new("b").unwrap();
-            let incarnation = Incarnation(9);
-            let b = DirectorySetup { node: node.clone(), incarnation, ..setup(&names) };
-            let now = platform::now();
-            let mut b = Directory::new(config(&b), now);
-            b.handle_claim(wanted(), now).unwrap();
-            b.handle_opened(NodeName::new("a").unwrap(), Incarnation(1), now);
+    #[blastema_macros::test(crate = "blastema_doubles")]
+    async fn a_claimant_whose_claim_was_lost_in_a_panic_learns_how_it_stands() {
+        let names = DirectoryTable::default();
+        let ports = DirectoryActor::start(setup(&names), &Guardian::default(), None);
+        let claim = Claim::make(&names, wanted()).await.unwrap();
+        let node = NodeName::new("b").unwrap();
+        let incarnation = Incarnation(9);
+        let b = DirectorySetup { node: node.clone(), incarnation, ..setup(&names) };
+        let now = platform::now();
+        let mut b = Directory::new(config(&b), now);
+        b.handle_claim(wanted(), now).unwrap();
+        b.handle_opened(NodeName::new("a").unwrap(), Incarnation(1), now);
 
-            // What comes of it is not carried out before the panic.
-            names.change(|machine| {
-                machine.handle_opened(node.clone(), incarnation, now);
-                while let Some(output) = b.poll_output() {
-                    if let DirectoryOutput::Send { message, .. } = output {
-                        machine.handle_message(&node, &message, now);
-                    }
+        // What comes of it is not carried out before the panic.
+        names.change(|machine| {
+            machine.handle_opened(node.clone(), incarnation, now);
+            while let Some(output) = b.poll_output() {
+                if let DirectoryOutput::Send { message, .. } = output {
+                    machine.handle_message(&node, &message, now);
                 }
-            });
-            ports.panic.do_send(InjectPanic);
-            settle().await;
-
-            assert_eq!(names.holder(claim.name()).unwrap().node, node);
-            let refused = matches!(claim.state(), ClaimState::Refused(ClaimRefused::Held(_)));
-            assert!(refused, "{claim:?}");
+            }
         });
+        ports.panic.do_send(InjectPanic);
+        settle().await;
+
+        assert_eq!(names.holder(claim.name()).unwrap().node, node);
+        let refused = matches!(claim.state(), ClaimState::Refused(ClaimRefused::Held(_)));
+        assert!(refused, "{claim:?}");
     }
 }

@@ -17,7 +17,7 @@ use blastema_contract::reports::{
 use blastema_core::detection::hang::LivenessEvent;
 use blastema_core::detection::{FaultTransition, Finding, RecovererPort, Registration};
 use blastema_core::{FaultKind, Incarnation, Lifecycle, NodeName, ObjectName};
-use blastema_doubles::{Probe, advance, paused, settle};
+use blastema_doubles::{Probe, advance, settle};
 use std::time::Duration;
 
 const ONE: Incarnation = Incarnation::FIRST;
@@ -87,148 +87,134 @@ impl Chain {
     }
 }
 
-#[test]
-fn a_panic_reaches_the_recoverer_without_any_time_passing() {
-    paused(async {
-        let chain = Chain::start();
-        let before = platform::now();
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_panic_reaches_the_recoverer_without_any_time_passing() {
+    let chain = Chain::start();
+    let before = platform::now();
 
-        chain.panic("arm");
+    chain.panic("arm");
 
-        let fault = chain.recoverer.expect().await.fault;
-        assert_eq!((fault.kind, fault.location.to_string()), (FaultKind::Panic, "m:arm".into()));
-        assert_eq!(fault.detail, "boom, at arm.rs:7, in Move");
-        assert_eq!(platform::now(), before);
-        assert_eq!(chain.events.expect().await.turn, FaultTransition::Found);
-    });
+    let fault = chain.recoverer.expect().await.fault;
+    assert_eq!((fault.kind, fault.location.to_string()), (FaultKind::Panic, "m:arm".into()));
+    assert_eq!(fault.detail, "boom, at arm.rs:7, in Move");
+    assert_eq!(platform::now(), before);
+    assert_eq!(chain.events.expect().await.turn, FaultTransition::Found);
 }
 
-#[test]
-fn one_that_never_answers_is_asked_once_and_found_silent() {
-    paused(async {
-        let chain = Chain::start();
-        let registration = Registration::new(object("arm"));
-        let pings = Some(Mute(0).start().recipient());
-        chain.actor.do_send(Register { registration, pings });
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn one_that_never_answers_is_asked_once_and_found_silent() {
+    let chain = Chain::start();
+    let registration = Registration::new(object("arm"));
+    let pings = Some(Mute(0).start().recipient());
+    chain.actor.do_send(Register { registration, pings });
 
-        advance(Duration::from_millis(5500)).await;
-        assert_eq!(chain.recoverer.recorded(), 0);
-        advance(Duration::from_secs(1)).await;
+    advance(Duration::from_millis(5500)).await;
+    assert_eq!(chain.recoverer.recorded(), 0);
+    advance(Duration::from_secs(1)).await;
 
-        assert_eq!(chain.recoverer.drain()[0].fault.kind, FaultKind::Silence);
-    });
+    assert_eq!(chain.recoverer.drain()[0].fault.kind, FaultKind::Silence);
 }
 
-#[test]
-fn one_that_does_not_answer_while_the_node_starves_has_five_times_as_long() {
-    paused(async {
-        let chain = Chain::start();
-        let registration = Registration::new(object("arm"));
-        let pings = Some(Mute(0).start().recipient());
-        chain.actor.do_send(Register { registration, pings });
-        settle().await;
-        let starve = async |intervals: u32| {
-            for _ in 0..intervals {
-                tokio::time::advance(Duration::from_millis(1200)).await;
-                settle().await;
-            }
-        };
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn one_that_does_not_answer_while_the_node_starves_has_five_times_as_long() {
+    let chain = Chain::start();
+    let registration = Registration::new(object("arm"));
+    let pings = Some(Mute(0).start().recipient());
+    chain.actor.do_send(Register { registration, pings });
+    settle().await;
+    let starve = async |intervals: u32| {
+        for _ in 0..intervals {
+            tokio::time::advance(Duration::from_millis(1200)).await;
+            settle().await;
+        }
+    };
 
-        starve(28).await;
-        assert_eq!(chain.recoverer.recorded(), 0);
-        starve(4).await;
+    starve(28).await;
+    assert_eq!(chain.recoverer.recorded(), 0);
+    starve(4).await;
 
-        assert_eq!(chain.recoverer.drain()[0].fault.kind, FaultKind::Silence);
-    });
+    assert_eq!(chain.recoverer.drain()[0].fault.kind, FaultKind::Silence);
 }
 
-#[test]
-fn a_stall_of_the_whole_process_condemns_nobody() {
-    paused(async {
-        let chain = Chain::start();
-        let registration = Registration::new(object("arm"));
-        let pings = Some(Mute(0).start().recipient());
-        chain.actor.do_send(Register { registration, pings });
-        settle().await;
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_stall_of_the_whole_process_condemns_nobody() {
+    let chain = Chain::start();
+    let registration = Registration::new(object("arm"));
+    let pings = Some(Mute(0).start().recipient());
+    chain.actor.do_send(Register { registration, pings });
+    settle().await;
 
-        // The clock jumps: every timer is late at once, before anything can answer.
-        let gap = Duration::from_secs(30);
-        tokio::time::advance(gap).await;
-        chain.actor.do_send(LivenessReported(LivenessEvent::Stalled { gap }));
-        advance(Duration::from_secs(4)).await;
+    // The clock jumps: every timer is late at once, before anything can answer.
+    let gap = Duration::from_secs(30);
+    tokio::time::advance(gap).await;
+    chain.actor.do_send(LivenessReported(LivenessEvent::Stalled { gap }));
+    advance(Duration::from_secs(4)).await;
 
-        assert_eq!(chain.recoverer.recorded(), 0);
-    });
+    assert_eq!(chain.recoverer.recorded(), 0);
 }
 
-#[test]
-fn a_recoverer_that_cannot_be_reached_gets_the_fault_when_it_is_back() {
-    paused(async {
-        let chain = Chain::start();
-        let there = RecovererPort::Remote(node("n"));
-        let (port, recover) = (there.clone(), Gone.start().recipient());
-        chain.actor.do_send(AddPort { port, recover, stand_down: None });
-        chain.panic("arm");
-        advance(Duration::from_secs(1)).await;
-        chain.recoverer.expect().await;
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_recoverer_that_cannot_be_reached_gets_the_fault_when_it_is_back() {
+    let chain = Chain::start();
+    let there = RecovererPort::Remote(node("n"));
+    let (port, recover) = (there.clone(), Gone.start().recipient());
+    chain.actor.do_send(AddPort { port, recover, stand_down: None });
+    chain.panic("arm");
+    advance(Duration::from_secs(1)).await;
+    chain.recoverer.expect().await;
 
-        let back = Probe::replying(|_: &Recover| Confirmed);
-        let recover = back.recipient();
-        chain.actor.do_send(AddPort { port: there, recover, stand_down: None });
-        advance(Duration::from_secs(10)).await;
+    let back = Probe::replying(|_: &Recover| Confirmed);
+    let recover = back.recipient();
+    chain.actor.do_send(AddPort { port: there, recover, stand_down: None });
+    advance(Duration::from_secs(10)).await;
 
-        assert_eq!(back.expect().await.fault.kind, FaultKind::Panic);
-    });
+    assert_eq!(back.expect().await.fault.kind, FaultKind::Panic);
 }
 
-#[test]
-fn the_chain_survives_being_struck_with_all_it_knew() {
-    paused(async {
-        let chain = Chain::start();
-        chain.register(Registration::new(object("arm")));
-        chain.actor.do_send(StateReported {
-            object: object("arm"),
-            incarnation: ONE,
-            state: Lifecycle::Active,
-            reason: None,
-        });
-        chain.panic("leg");
-        settle().await;
-        chain.recoverer.drain();
-
-        chain.actor.do_send(Strike);
-        settle().await;
-        assert_eq!(chain.deaths.drain().len(), 1);
-        let alive = chain.actor.send(AreYouAlive).await.expect("the detector lives");
-        assert_eq!(alive.incarnation, ONE.next());
-
-        chain.silence("arm");
-        let fault = chain.recoverer.expect().await.fault;
-        assert_eq!((fault.kind, fault.id.0), (FaultKind::Silence, 2));
-        let table = chain.actor.send(ReadTable).await.expect("the monitor lives");
-        assert_eq!(table[0].state, Some(Lifecycle::Active));
-        assert_eq!(chain.events.drain().len(), 2);
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn the_chain_survives_being_struck_with_all_it_knew() {
+    let chain = Chain::start();
+    chain.register(Registration::new(object("arm")));
+    chain.actor.do_send(StateReported {
+        object: object("arm"),
+        incarnation: ONE,
+        state: Lifecycle::Active,
+        reason: None,
     });
+    chain.panic("leg");
+    settle().await;
+    chain.recoverer.drain();
+
+    chain.actor.do_send(Strike);
+    settle().await;
+    assert_eq!(chain.deaths.drain().len(), 1);
+    let alive = chain.actor.send(AreYouAlive).await.expect("the detector lives");
+    assert_eq!(alive.incarnation, ONE.next());
+
+    chain.silence("arm");
+    let fault = chain.recoverer.expect().await.fault;
+    assert_eq!((fault.kind, fault.id.0), (FaultKind::Silence, 2));
+    let table = chain.actor.send(ReadTable).await.expect("the monitor lives");
+    assert_eq!(table[0].state, Some(Lifecycle::Active));
+    assert_eq!(chain.events.drain().len(), 2);
 }
 
-#[test]
-fn what_was_seen_while_the_chain_was_struck_is_judged_afterwards() {
-    paused(async {
-        let chain = Chain::start();
-        chain.actor.do_send(Strike);
-        chain.panic("arm");
-        chain.actor.do_send(Strike);
-        chain.actor.do_send(Strike);
-        chain.panic("leg");
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn what_was_seen_while_the_chain_was_struck_is_judged_afterwards() {
+    let chain = Chain::start();
+    chain.actor.do_send(Strike);
+    chain.panic("arm");
+    chain.actor.do_send(Strike);
+    chain.actor.do_send(Strike);
+    chain.panic("leg");
 
-        advance(Duration::from_millis(900)).await;
+    advance(Duration::from_millis(900)).await;
 
-        let handed = chain.recoverer.drain().into_iter();
-        let mut locations: Vec<_> = handed.map(|one| one.fault.location.to_string()).collect();
-        // What was not confirmed before a strike is handed over again.
-        locations.dedup();
-        assert_eq!(locations, ["m:arm", "m:leg"]);
-    });
+    let handed = chain.recoverer.drain().into_iter();
+    let mut locations: Vec<_> = handed.map(|one| one.fault.location.to_string()).collect();
+    // What was not confirmed before a strike is handed over again.
+    locations.dedup();
+    assert_eq!(locations, ["m:arm", "m:leg"]);
 }
 
 /// A recoverer that has stopped.

@@ -252,7 +252,7 @@ fn wait(socket: &Socket) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use blastema_doubles::{Probe, paused};
+    use blastema_doubles::Probe;
     use std::fs;
 
     #[test]
@@ -270,33 +270,31 @@ mod tests {
         assert_eq!(Interface::Named("../../etc".into()).name(), None);
     }
 
-    #[test]
-    fn only_the_loss_of_a_carrier_that_was_there_and_its_return_are_told() {
-        paused(async {
-            let interfaces = tempfile::tempdir().unwrap();
-            let folder = interfaces.path().join("eth7");
-            fs::create_dir(&folder).unwrap();
-            let probe = Probe::<CarrierChanged>::start();
-            let interface = Interface::Named("eth7".into());
-            let mut eye = Eye::new(MonitoredInterface { interface, recipient: probe.recipient() });
-            let mut reads = |text: Option<&str>| {
-                fs::write(folder.join("carrier"), text.unwrap_or_default()).unwrap();
-                eye.look(interfaces.path(), true);
-                if text.is_none() {
-                    // It cannot be read any more, and then another one is in its place.
-                    fs::remove_file(folder.join("carrier")).unwrap();
-                }
-            };
+    #[blastema_macros::test(crate = "blastema_doubles")]
+    async fn only_the_loss_of_a_carrier_that_was_there_and_its_return_are_told() {
+        let interfaces = tempfile::tempdir().unwrap();
+        let folder = interfaces.path().join("eth7");
+        fs::create_dir(&folder).unwrap();
+        let probe = Probe::<CarrierChanged>::start();
+        let interface = Interface::Named("eth7".into());
+        let mut eye = Eye::new(MonitoredInterface { interface, recipient: probe.recipient() });
+        let mut reads = |text: Option<&str>| {
+            fs::write(folder.join("carrier"), text.unwrap_or_default()).unwrap();
+            eye.look(interfaces.path(), true);
+            if text.is_none() {
+                // It cannot be read any more, and then another one is in its place.
+                fs::remove_file(folder.join("carrier")).unwrap();
+            }
+        };
 
-            reads(Some("0\n"));
-            reads(Some("1\n"));
-            reads(Some("1\n"));
-            reads(None);
-            reads(Some("0\n"));
-            reads(Some("1\n"));
+        reads(Some("0\n"));
+        reads(Some("1\n"));
+        reads(Some("1\n"));
+        reads(None);
+        reads(Some("0\n"));
+        reads(Some("1\n"));
 
-            let reports: Vec<_> = [probe.expect().await, probe.expect().await].into();
-            assert_eq!(reports, [false, true].map(|present| CarrierChanged { present }));
-        });
+        let reports: Vec<_> = [probe.expect().await, probe.expect().await].into();
+        assert_eq!(reports, [false, true].map(|present| CarrierChanged { present }));
     }
 }

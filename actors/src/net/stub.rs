@@ -389,7 +389,7 @@ impl RemoteStub for PeerStub {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use blastema_doubles::{paused, settle};
+    use blastema_doubles::settle;
 
     const REQUEST: Option<TrafficClass> = Some(TrafficClass::Request);
     const BULK: Option<TrafficClass> = Some(TrafficClass::Bulk);
@@ -428,29 +428,28 @@ mod tests {
         assert_eq!(send_state.why_not(), DeadReason::Isolated);
     }
 
-    #[test]
-    fn a_sender_that_waits_goes_on_when_there_is_credit_of_its_class_and_its_object_has_room() {
-        paused(async {
-            let (send_state, object) = send_state();
-            let [(requests, request), (bulk, image)] = [REQUEST, BULK].map(|class| {
-                let (send_state, object) = (send_state.clone(), object.clone());
-                let credit = send_state.credits.sender(class);
-                let all = std::iter::from_fn(|| credit.take(64));
-                let all: Vec<_> = all.collect();
-                (all, actix_rt::spawn(async move { send_state.space(&object, &credit).await }))
-            });
-            settle().await;
-
-            send_state.object_is_full(object.clone());
-            drop(requests);
-            settle().await;
-            assert!(!request.is_finished(), "the object has no room");
-            send_state.handle_object_ready(&object);
-            settle().await;
-            assert!(request.is_finished() && !image.is_finished());
-            drop(bulk);
-            settle().await;
-            assert!(image.is_finished());
+    #[blastema_macros::test(crate = "blastema_doubles")]
+    async fn a_sender_that_waits_goes_on_when_there_is_credit_of_its_class_and_its_object_has_room()
+    {
+        let (send_state, object) = send_state();
+        let [(requests, request), (bulk, image)] = [REQUEST, BULK].map(|class| {
+            let (send_state, object) = (send_state.clone(), object.clone());
+            let credit = send_state.credits.sender(class);
+            let all = std::iter::from_fn(|| credit.take(64));
+            let all: Vec<_> = all.collect();
+            (all, actix_rt::spawn(async move { send_state.space(&object, &credit).await }))
         });
+        settle().await;
+
+        send_state.object_is_full(object.clone());
+        drop(requests);
+        settle().await;
+        assert!(!request.is_finished(), "the object has no room");
+        send_state.handle_object_ready(&object);
+        settle().await;
+        assert!(request.is_finished() && !image.is_finished());
+        drop(bulk);
+        settle().await;
+        assert!(image.is_finished());
     }
 }

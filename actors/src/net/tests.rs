@@ -47,7 +47,7 @@ use blastema_core::{
     DeliveryError, Fault, FaultId, FaultKind, FaultLocation, Incarnation, NodeName, ObjectName,
     Severity,
 };
-use blastema_doubles::{Probe, advance, paused, settle};
+use blastema_doubles::{Probe, advance, settle};
 use blastema_transports::{
     FaultInjector, FaultInjectorConfig, FrameTransport, Memory, MemoryMedium,
 };

@@ -450,7 +450,7 @@ impl Handler<Shutdown> for NodeController {
 mod tests {
     use super::*;
     use crate::fault_chain::tests::scripted::{Script, ScriptedReply};
-    use blastema_doubles::{Probe, paused, settle};
+    use blastema_doubles::{Probe, settle};
 
     /// A controller whose root starts, ends or hangs as a script says.
     struct Rig {
@@ -491,46 +491,42 @@ mod tests {
         }
     }
 
-    #[test]
-    fn a_node_that_is_told_to_stop_while_its_last_ones_end_is_not_started_once_more() {
-        paused(async {
-            let rig = Rig::start(&[("stop root", ScriptedReply::Hangs)]);
-            settle().await;
-            rig.rest();
-            let closed = tokio::task::spawn_local(rig.controller.send(Shutdown));
-            settle().await;
-            assert!(matches!(*rig.state.borrow(), NodeState::InSafeState { .. }), "one still ends");
+    #[blastema_macros::test(crate = "blastema_doubles")]
+    async fn a_node_that_is_told_to_stop_while_its_last_ones_end_is_not_started_once_more() {
+        let rig = Rig::start(&[("stop root", ScriptedReply::Hangs)]);
+        settle().await;
+        rig.rest();
+        let closed = tokio::task::spawn_local(rig.controller.send(Shutdown));
+        settle().await;
+        assert!(matches!(*rig.state.borrow(), NodeState::InSafeState { .. }), "one still ends");
 
-            let again = tokio::task::spawn_local(rig.controller.send(RestartRoot));
-            settle().await;
-            rig.says(ChildEvent::Stopped);
+        let again = tokio::task::spawn_local(rig.controller.send(RestartRoot));
+        settle().await;
+        rig.says(ChildEvent::Stopped);
 
-            closed.await.unwrap().unwrap();
-            assert_eq!(again.await.unwrap().unwrap(), Err(RestartError::ShutDown));
-            settle().await;
-            assert_eq!(rig.script.done(), ["start root", "stop root"]);
-            assert_eq!(*rig.state.borrow(), NodeState::Stopped);
-        });
+        closed.await.unwrap().unwrap();
+        assert_eq!(again.await.unwrap().unwrap(), Err(RestartError::ShutDown));
+        settle().await;
+        assert_eq!(rig.script.done(), ["start root", "stop root"]);
+        assert_eq!(*rig.state.borrow(), NodeState::Stopped);
     }
 
-    #[test]
-    fn who_asks_for_the_next_incarnation_is_not_told_of_the_one_before() {
-        paused(async {
-            let late = [("start root", ScriptedReply::Hangs), ("stop root", ScriptedReply::Hangs)];
-            let rig = Rig::start(&late);
-            settle().await;
-            rig.rest();
-            let again = tokio::task::spawn_local(rig.controller.send(RestartRoot));
-            settle().await;
+    #[blastema_macros::test(crate = "blastema_doubles")]
+    async fn who_asks_for_the_next_incarnation_is_not_told_of_the_one_before() {
+        let late = [("start root", ScriptedReply::Hangs), ("stop root", ScriptedReply::Hangs)];
+        let rig = Rig::start(&late);
+        settle().await;
+        rig.rest();
+        let again = tokio::task::spawn_local(rig.controller.send(RestartRoot));
+        settle().await;
 
-            rig.says(ChildEvent::Started);
-            settle().await;
+        rig.says(ChildEvent::Started);
+        settle().await;
 
-            assert!(!again.is_finished(), "{:?}", rig.state.borrow());
-            rig.says(ChildEvent::Stopped);
-            assert_eq!(again.await.unwrap().unwrap(), Ok(()));
-            assert_eq!(rig.script.done(), ["start root", "stop root", "start root"]);
-            assert_eq!(*rig.state.borrow(), NodeState::Running);
-        });
+        assert!(!again.is_finished(), "{:?}", rig.state.borrow());
+        rig.says(ChildEvent::Stopped);
+        assert_eq!(again.await.unwrap().unwrap(), Ok(()));
+        assert_eq!(rig.script.done(), ["start root", "stop root", "start root"]);
+        assert_eq!(*rig.state.borrow(), NodeState::Running);
     }
 }

@@ -189,7 +189,6 @@ fn fault(entry: &FaultEntry, now: Instant) -> Value {
 mod tests {
     use super::*;
     use blastema_core::{FaultLocation, Lifecycle, ObjectAddress};
-    use blastema_doubles::paused;
     use std::future;
 
     #[test]
@@ -207,11 +206,9 @@ mod tests {
         );
     }
 
-    #[test]
-    fn a_part_that_does_not_answer_is_not_known_and_one_that_is_empty_is() {
-        paused(async {
-            assert_eq!(in_time(future::pending::<Vec<MonitorRow>>()).await, None);
-            assert_eq!(in_time(future::ready([0; 0])).await, Some([]));
-        });
+    #[blastema_macros::test(crate = "blastema_doubles")]
+    async fn a_part_that_does_not_answer_is_not_known_and_one_that_is_empty_is() {
+        assert_eq!(in_time(future::pending::<Vec<MonitorRow>>()).await, None);
+        assert_eq!(in_time(future::ready([0; 0])).await, Some([]));
     }
 }

@@ -114,17 +114,14 @@ fn kernel_timer() -> std::io::Result<AsyncFd<OwnedFd>> {
 mod tests {
     use super::*;
     use crate::platform::now;
-    use blastema_doubles::paused;
     use std::future::poll_fn;
 
-    #[test]
-    fn an_alarm_of_the_runtime_goes_by_the_clock_that_a_test_has_paused() {
-        paused(async {
-            let hour = now() + Duration::from_secs(3600);
-            let mut alarm = ScheduleAlarm::new(false);
-            poll_fn(|cx| alarm.poll_until(hour, cx)).await;
-            assert_eq!(now(), hour);
-        });
+    #[blastema_macros::test(crate = "blastema_doubles")]
+    async fn an_alarm_of_the_runtime_goes_by_the_clock_that_a_test_has_paused() {
+        let hour = now() + Duration::from_secs(3600);
+        let mut alarm = ScheduleAlarm::new(false);
+        poll_fn(|cx| alarm.poll_until(hour, cx)).await;
+        assert_eq!(now(), hour);
     }
 
     /// On real threads.
@@ -132,41 +129,37 @@ mod tests {
         use super::*;
         use std::task::Waker;
 
-        #[test]
-        fn an_alarm_of_the_kernel_is_due_at_each_instant_that_it_is_set_to_and_never_before() {
-            let _turn = blastema_doubles::turn();
-            actix_rt::System::new().block_on(async {
-                let period = Duration::from_micros(100);
-                let start = now();
-                let mut alarm = ScheduleAlarm::new(true);
-                assert!(matches!(alarm.timer, AlarmTimer::Kernel(_)));
-                for due in (0..1000).map(|k| start + period * k) {
-                    poll_fn(|cx| alarm.poll_until(due, cx)).await;
-                    // The two clocks were read within a few microseconds.
-                    assert!(now() + Duration::from_micros(10) >= due);
-                }
-            });
+        #[blastema_macros::test(crate = "blastema_doubles::real")]
+        async fn an_alarm_of_the_kernel_is_due_at_each_instant_that_it_is_set_to_and_never_before()
+        {
+            let period = Duration::from_micros(100);
+            let start = now();
+            let mut alarm = ScheduleAlarm::new(true);
+            assert!(matches!(alarm.timer, AlarmTimer::Kernel(_)));
+            for due in (0..1000).map(|k| start + period * k) {
+                poll_fn(|cx| alarm.poll_until(due, cx)).await;
+                // The two clocks were read within a few microseconds.
+                assert!(now() + Duration::from_micros(10) >= due);
+            }
         }
 
-        #[test]
-        fn an_alarm_waits_for_the_instant_of_the_latest_poll_and_for_one_that_has_passed_again() {
-            let _turn = blastema_doubles::turn();
-            actix_rt::System::new().block_on(async {
-                let soon = now() + Duration::from_millis(1);
-                let mut alarm = ScheduleAlarm::new(true);
-                let mut cx = Context::from_waker(Waker::noop());
-                assert!(alarm.poll_until(soon, &mut cx).is_pending());
-                // It expires, and the runtime learns that, before it is set again.
-                tokio::time::sleep(Duration::from_millis(5)).await;
+        #[blastema_macros::test(crate = "blastema_doubles::real")]
+        async fn an_alarm_waits_for_the_instant_of_the_latest_poll_and_for_one_that_has_passed_again()
+         {
+            let soon = now() + Duration::from_millis(1);
+            let mut alarm = ScheduleAlarm::new(true);
+            let mut cx = Context::from_waker(Waker::noop());
+            assert!(alarm.poll_until(soon, &mut cx).is_pending());
+            // It expires, and the runtime learns that, before it is set again.
+            tokio::time::sleep(Duration::from_millis(5)).await;
 
-                let hour = soon + Duration::from_secs(3600);
-                for _ in 0..10 {
-                    assert!(alarm.poll_until(hour, &mut cx).is_pending());
-                    tokio::time::sleep(Duration::from_millis(1)).await;
-                }
-                poll_fn(|cx| alarm.poll_until(soon, cx)).await;
-                poll_fn(|cx| alarm.poll_until(soon, cx)).await;
-            });
+            let hour = soon + Duration::from_secs(3600);
+            for _ in 0..10 {
+                assert!(alarm.poll_until(hour, &mut cx).is_pending());
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+            poll_fn(|cx| alarm.poll_until(soon, cx)).await;
+            poll_fn(|cx| alarm.poll_until(soon, cx)).await;
         }
     }
 }

@@ -387,7 +387,7 @@ mod tests {
     use super::*;
     use crate::messaging::death_watch::Deaths;
     use blastema_core::NodeName;
-    use blastema_doubles::{advance, paused};
+    use blastema_doubles::advance;
 
     /// A question whose answer is kept.
     fn ask(
@@ -421,84 +421,78 @@ mod tests {
         all.into_iter().filter(|answer| !refused(answer.lock().unwrap().clone())).count()
     }
 
-    #[test]
-    fn an_object_that_no_node_has_is_not_lost_with_its_node() {
-        paused(async {
-            let count = Arc::new(Mutex::new(0));
-            let serve = move |_: AwaitEnd, _, responder: Responder<AwaitEnd>| {
-                let mut count = count.lock().unwrap();
-                *count += 1;
-                let reason = "the session ended".to_owned();
-                let node = "module2".to_owned();
-                match *count {
-                    2 => responder.refuse(DeliveryError::OutcomeUnknown { reason }, None),
-                    3 => responder.refuse(DeliveryError::Unreachable { node }, None),
-                    5 => responder
-                        .refuse(DeliveryError::PeerDied { incarnation: Incarnation(1) }, None),
-                    _ => {
-                        let (incarnation, ending) = (Incarnation(0), DownReason::Unknown);
-                        let ended = Some(LastEnd { incarnation, ending });
-                        // Its node has started again meanwhile.
-                        let seen = SeenEnd { service: *count, number: 0 };
-                        responder.give(Watched { seen, ended });
-                    }
+    #[blastema_macros::test(crate = "blastema_doubles")]
+    async fn an_object_that_no_node_has_is_not_lost_with_its_node() {
+        let count = Arc::new(Mutex::new(0));
+        let serve = move |_: AwaitEnd, _, responder: Responder<AwaitEnd>| {
+            let mut count = count.lock().unwrap();
+            *count += 1;
+            let reason = "the session ended".to_owned();
+            let node = "module2".to_owned();
+            match *count {
+                2 => responder.refuse(DeliveryError::OutcomeUnknown { reason }, None),
+                3 => responder.refuse(DeliveryError::Unreachable { node }, None),
+                5 => {
+                    responder.refuse(DeliveryError::PeerDied { incarnation: Incarnation(1) }, None)
+                }
+                _ => {
+                    let (incarnation, ending) = (Incarnation(0), DownReason::Unknown);
+                    let ended = Some(LastEnd { incarnation, ending });
+                    // Its node has started again meanwhile.
+                    let seen = SeenEnd { service: *count, number: 0 };
+                    responder.give(Watched { seen, ended });
+                }
+            }
+        };
+        let sender = Sender(Arc::new(ServiceFn::<AwaitEnd>(Arc::new(serve))));
+        let told = Arc::new(Mutex::new(Vec::new()));
+        let (ends, losses) = (told.clone(), told.clone());
+        let arm = ObjectName::new("arm").unwrap();
+        actix_rt::spawn(async move {
+            let down = |end: LastEnd| ends.lock().unwrap().push(format!("{:?}", end.ending));
+            let lost = |reason| losses.lock().unwrap().push(reason);
+            ask_on(&sender, (&arm, EndsAfter::Question), down, lost, std::future::pending).await;
+        });
+
+        advance(8 * RETRY_DELAY).await;
+
+        assert_eq!(*told.lock().unwrap(), ["Unknown"]);
+    }
+
+    #[blastema_macros::test(crate = "blastema_doubles")]
+    async fn a_node_that_was_started_again_between_two_questions_or_during_one_was_lost() {
+        for why in [DeliveryError::Full, DeliveryError::PeerDied { incarnation: Incarnation(1) }] {
+            let asked = Arc::new(Mutex::new(Vec::new()));
+            let questions = asked.clone();
+            let serve = move |AwaitEnd { after, .. }, _, responder: Responder<AwaitEnd>| {
+                let mut asked = questions.lock().unwrap();
+                asked.push(after);
+                let watched =
+                    |service| Watched { seen: SeenEnd { service, number: 0 }, ended: None };
+                match asked.len() {
+                    1 => responder.give(watched(7)),
+                    2 => responder.refuse(why.clone(), None),
+                    3 => responder.give(watched(8)),
+                    _ => std::mem::forget(responder),
                 }
             };
             let sender = Sender(Arc::new(ServiceFn::<AwaitEnd>(Arc::new(serve))));
             let told = Arc::new(Mutex::new(Vec::new()));
-            let (ends, losses) = (told.clone(), told.clone());
+            let losses = told.clone();
             let arm = ObjectName::new("arm").unwrap();
             actix_rt::spawn(async move {
-                let down = |end: LastEnd| ends.lock().unwrap().push(format!("{:?}", end.ending));
                 let lost = |reason| losses.lock().unwrap().push(reason);
-                ask_on(&sender, (&arm, EndsAfter::Question), down, lost, std::future::pending)
-                    .await;
+                let down = |end| panic!("{end:?}");
+                let of = (&arm, EndsAfter::Question);
+                ask_on(&sender, of, down, lost, std::future::pending).await;
             });
+            advance(5 * RETRY_DELAY).await;
 
-            advance(8 * RETRY_DELAY).await;
-
-            assert_eq!(*told.lock().unwrap(), ["Unknown"]);
-        });
-    }
-
-    #[test]
-    fn a_node_that_was_started_again_between_two_questions_or_during_one_was_lost() {
-        paused(async {
-            for why in
-                [DeliveryError::Full, DeliveryError::PeerDied { incarnation: Incarnation(1) }]
-            {
-                let asked = Arc::new(Mutex::new(Vec::new()));
-                let questions = asked.clone();
-                let serve = move |AwaitEnd { after, .. }, _, responder: Responder<AwaitEnd>| {
-                    let mut asked = questions.lock().unwrap();
-                    asked.push(after);
-                    let watched =
-                        |service| Watched { seen: SeenEnd { service, number: 0 }, ended: None };
-                    match asked.len() {
-                        1 => responder.give(watched(7)),
-                        2 => responder.refuse(why.clone(), None),
-                        3 => responder.give(watched(8)),
-                        _ => std::mem::forget(responder),
-                    }
-                };
-                let sender = Sender(Arc::new(ServiceFn::<AwaitEnd>(Arc::new(serve))));
-                let told = Arc::new(Mutex::new(Vec::new()));
-                let losses = told.clone();
-                let arm = ObjectName::new("arm").unwrap();
-                actix_rt::spawn(async move {
-                    let lost = |reason| losses.lock().unwrap().push(reason);
-                    let down = |end| panic!("{end:?}");
-                    let of = (&arm, EndsAfter::Question);
-                    ask_on(&sender, of, down, lost, std::future::pending).await;
-                });
-                advance(5 * RETRY_DELAY).await;
-
-                assert_eq!(*told.lock().unwrap(), ["its node has started again"]);
-                let seen = |service| EndsAfter::Seen(SeenEnd { service, number: 0 });
-                let expected = [EndsAfter::Question, seen(7), seen(7), seen(8)];
-                assert_eq!(*asked.lock().unwrap(), expected);
-            }
-        });
+            assert_eq!(*told.lock().unwrap(), ["its node has started again"]);
+            let seen = |service| EndsAfter::Seen(SeenEnd { service, number: 0 });
+            let expected = [EndsAfter::Question, seen(7), seen(7), seen(8)];
+            assert_eq!(*asked.lock().unwrap(), expected);
+        }
     }
 
     #[test]

@@ -114,7 +114,7 @@ impl<A: MachineActor> ActorFuture<A> for Soon {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use blastema_doubles::{paused, settle};
+    use blastema_doubles::settle;
     use std::sync::{Arc, Mutex};
 
     /// Outputs what it was fed, in one list.
@@ -171,22 +171,20 @@ mod tests {
         }
     }
 
-    #[test]
-    fn inputs_that_wait_together_are_driven_together_however_often_that_is() {
-        paused(async {
-            let lister = Lister::default();
-            let outputs = lister.outputs.clone();
-            let lister = lister.start();
-            let many: Vec<u32> = (10..10 + BATCH as u32 + 2).collect();
+    #[blastema_macros::test(crate = "blastema_doubles")]
+    async fn inputs_that_wait_together_are_driven_together_however_often_that_is() {
+        let lister = Lister::default();
+        let outputs = lister.outputs.clone();
+        let lister = lister.start();
+        let many: Vec<u32> = (10..10 + BATCH as u32 + 2).collect();
 
-            for batch in [&[1, 2, 3][..], &[4], &[5, 6], &many] {
-                batch.iter().for_each(|number| lister.do_send(Feed(*number)));
-                settle().await;
-            }
+        for batch in [&[1, 2, 3][..], &[4], &[5, 6], &many] {
+            batch.iter().for_each(|number| lister.do_send(Feed(*number)));
+            settle().await;
+        }
 
-            let outputs = outputs.lock().unwrap();
-            assert_eq!(outputs[..3], [vec![1, 2, 3], vec![4], vec![5, 6]]);
-            assert_eq!((outputs[3].len(), outputs[3..].concat()), (BATCH, many));
-        });
+        let outputs = outputs.lock().unwrap();
+        assert_eq!(outputs[..3], [vec![1, 2, 3], vec![4], vec![5, 6]]);
+        assert_eq!((outputs[3].len(), outputs[3..].concat()), (BATCH, many));
     }
 }

@@ -617,7 +617,7 @@ mod tests {
     use crate::directory::DirectoryTable;
     use blastema_core::Machine;
     use blastema_core::service::OnPartition;
-    use blastema_doubles::{paused, settle};
+    use blastema_doubles::settle;
     use std::sync::atomic::AtomicU64;
     use std::sync::atomic::Ordering::SeqCst;
 
@@ -683,32 +683,30 @@ mod tests {
         refused == 1
     }
 
-    #[test]
-    fn a_message_that_names_another_sender_is_refused() {
-        paused(async {
-            let mut other = Replica::new(config("n2"), Bytes::new(), platform::now());
-            let configuration = Vec::from(other.configuration());
-            other.handle_timeout(platform::now() + Duration::from_secs(1));
-            let requests_vote = std::iter::from_fn(|| other.poll_output()).find_map(|output| {
-                let ReplicaOutput::Send { message, .. } = output else { return None };
-                Some(Vec::from(message))
-            });
-            let message = requests_vote.unwrap();
-
-            let cases = [
-                ("n2", Some("n2"), false),
-                ("n2", Some("n3"), true),
-                ("n2", None, true),
-                ("not a name!", Some("n2"), true),
-            ];
-            for (named, by, expected) in cases {
-                let from = named.to_owned();
-                let message = ReplicaMessage { from: from.clone(), message: message.clone() };
-                assert_eq!(is_refused(&message, by).await, expected, "{named:?} by {by:?}");
-                let configuration = configuration.clone();
-                let question = CompareConfiguration { from, configuration };
-                assert_eq!(is_refused(&question, by).await, expected, "{named:?} by {by:?}");
-            }
+    #[blastema_macros::test(crate = "blastema_doubles")]
+    async fn a_message_that_names_another_sender_is_refused() {
+        let mut other = Replica::new(config("n2"), Bytes::new(), platform::now());
+        let configuration = Vec::from(other.configuration());
+        other.handle_timeout(platform::now() + Duration::from_secs(1));
+        let requests_vote = std::iter::from_fn(|| other.poll_output()).find_map(|output| {
+            let ReplicaOutput::Send { message, .. } = output else { return None };
+            Some(Vec::from(message))
         });
+        let message = requests_vote.unwrap();
+
+        let cases = [
+            ("n2", Some("n2"), false),
+            ("n2", Some("n3"), true),
+            ("n2", None, true),
+            ("not a name!", Some("n2"), true),
+        ];
+        for (named, by, expected) in cases {
+            let from = named.to_owned();
+            let message = ReplicaMessage { from: from.clone(), message: message.clone() };
+            assert_eq!(is_refused(&message, by).await, expected, "{named:?} by {by:?}");
+            let configuration = configuration.clone();
+            let question = CompareConfiguration { from, configuration };
+            assert_eq!(is_refused(&question, by).await, expected, "{named:?} by {by:?}");
+        }
     }
 }

@@ -5,7 +5,7 @@ use super::hub::{Batch, EventListener, Hub, HubProgress, ListenerEntry};
 use super::hub_queue::Posted;
 use super::*;
 use blastema_core::ContractIdentity;
-use blastema_doubles::{paused, settle};
+use blastema_doubles::settle;
 use std::any::Any;
 use std::cell::{Cell, RefCell};
 use std::panic::Location;
@@ -272,34 +272,32 @@ fn joins<E: Event>(topics: &Topics, topic: &str, node: &Arc<Narrow>) {
     topics.forward(&key, (far, wanted), Arc::new(ToNarrow(node.clone())), None);
 }
 
-#[test]
-fn two_publishers_that_wait_for_the_same_nodes_in_another_order_do_not_block_each_other() {
-    paused(async {
-        let topics = Topics::new(DeadLetterLog::default(), FaultReports::default());
-        let (left, right) = (Arc::<Narrow>::default(), Arc::<Narrow>::default());
-        [&left, &right].into_iter().for_each(|node| joins::<Sample>(&topics, "one", node));
-        [&right, &left].into_iter().for_each(|node| joins::<Sample>(&topics, "two", node));
-        let held = ToNarrow(right.clone()).take();
-        let delivers = |topic, n| {
-            let publisher = topics.publisher::<Sample>(topic).unwrap();
-            actix_rt::spawn(async move { publisher.deliver(Sample(n)).await.unwrap() })
-        };
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn two_publishers_that_wait_for_the_same_nodes_in_another_order_do_not_block_each_other() {
+    let topics = Topics::new(DeadLetterLog::default(), FaultReports::default());
+    let (left, right) = (Arc::<Narrow>::default(), Arc::<Narrow>::default());
+    [&left, &right].into_iter().for_each(|node| joins::<Sample>(&topics, "one", node));
+    [&right, &left].into_iter().for_each(|node| joins::<Sample>(&topics, "two", node));
+    let held = ToNarrow(right.clone()).take();
+    let delivers = |topic, n| {
+        let publisher = topics.publisher::<Sample>(topic).unwrap();
+        actix_rt::spawn(async move { publisher.deliver(Sample(n)).await.unwrap() })
+    };
 
-        let second = delivers("two", 2);
-        settle().await;
-        let first = delivers("one", 1);
-        settle().await;
-        assert!(!left.is_taken.load(Relaxed), "who waits holds nothing");
-        drop(held);
-        settle().await;
+    let second = delivers("two", 2);
+    settle().await;
+    let first = delivers("one", 1);
+    settle().await;
+    assert!(!left.is_taken.load(Relaxed), "who waits holds nothing");
+    drop(held);
+    settle().await;
 
-        assert!(first.is_finished() && second.is_finished());
-        for node in [left, right] {
-            let mut got = lock(&node.got).clone();
-            got.sort_unstable();
-            assert_eq!(got, [1, 2]);
-        }
-    });
+    assert!(first.is_finished() && second.is_finished());
+    for node in [left, right] {
+        let mut got = lock(&node.got).clone();
+        got.sort_unstable();
+        assert_eq!(got, [1, 2]);
+    }
 }
 
 #[derive(Clone, Debug, crate::Event)]
@@ -364,10 +362,8 @@ fn a_node_that_joins_while_an_event_is_published_gets_the_newest_once() {
     assert_eq!((&*lock(&early.got), &*lock(&late.got)), (&vec![1, 2, 3], &vec![2, 3]));
 }
 
-#[test]
-fn an_entry_that_leaves_its_hub_gets_each_event_there_or_elsewhere() {
-    paused(async {
-        assert_eq!(leave_a_hub(false).await, (vec![7, 8], vec![]));
-        assert_eq!(leave_a_hub(true).await, (vec![7], vec![8]));
-    });
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn an_entry_that_leaves_its_hub_gets_each_event_there_or_elsewhere() {
+    assert_eq!(leave_a_hub(false).await, (vec![7, 8], vec![]));
+    assert_eq!(leave_a_hub(true).await, (vec![7], vec![8]));
 }

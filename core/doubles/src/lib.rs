@@ -7,6 +7,7 @@
 //! | [`FakeCrypto`] | the cryptography of sealed frames: fast, and panics when a nonce is used twice |
 //! | [`paused`](fn@paused), [`advance`] | the clock |
 //! | [`Record`] | what a double of your own has seen |
+//! | [`real`] | nothing: it runs a test on real threads, in its turn |
 //! | [`program_in`] | nothing: it lets another user run a program |
 //! | [`turn`](fn@turn) | nothing: it lets tests on real threads run one after the other |
 //! | [`long`] | nothing: whether long lists of cases are run whole |
@@ -35,11 +36,14 @@ mod mock_transport;
 mod paused;
 mod probe;
 mod program;
+pub mod real;
 mod record;
 mod turn;
 
 pub use fake_crypto::{FakeCrypto, FakeHandshake, NonceLedger};
 pub use mock_transport::MockTransport;
+/// By the name that the attribute `test` of `blastema_macros` calls it.
+pub use paused::paused as run;
 pub use paused::{advance, now, paused, settle};
 pub use probe::Probe;
 pub use program::program_in;

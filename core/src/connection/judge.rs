@@ -269,12 +269,9 @@ fn figures(reading: &ChannelReading, now: Instant) -> String {
 mod tests {
     use super::*;
     use crate::random::Random;
+    use crate::testing::at;
 
     const SECOND: Duration = Duration::from_secs(1);
-
-    fn at(millis: u64) -> Instant {
-        Instant::from_millis(millis)
-    }
 
     fn judge(rate: Option<(f64, Duration)>, limits: ConnectionLimits) -> ConnectionJudge {
         let timeout = Duration::from_secs(3);

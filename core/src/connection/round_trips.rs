@@ -55,10 +55,7 @@ impl RoundTripEstimator {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn at(millis: u64) -> Instant {
-        Instant::from_millis(millis)
-    }
+    use crate::testing::at;
 
     #[test]
     fn an_answer_that_is_missing_counts_while_it_is_and_the_fastest_is_forgotten() {

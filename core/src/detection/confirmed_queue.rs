@@ -233,6 +233,7 @@ impl<T: Clone> Machine for ConfirmedQueue<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing::at;
 
     const LIMITS: ConfirmedQueueLimits = ConfirmedQueueLimits {
         capacity: 3,
@@ -241,10 +242,6 @@ mod tests {
         tries: 4,
         per_second: 1000,
     };
-
-    fn at(millis: u64) -> Instant {
-        Instant::from_millis(millis)
-    }
 
     fn drain<T: Clone>(queue: &mut ConfirmedQueue<T>) -> Vec<ConfirmedQueueOutput<T>> {
         std::iter::from_fn(|| queue.poll_output()).collect()

@@ -85,10 +85,7 @@ impl DependencyIndex {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn node(name: &str) -> NodeName {
-        NodeName::new(name).expect("a name")
-    }
+    use crate::testing::node;
 
     fn here(name: &str) -> ObjectAddress {
         ObjectAddress::new(node("m"), ObjectName::new(name).expect("a name"))

@@ -238,10 +238,7 @@ pub fn circle<T: Ord + Clone>(needs: &SortedMap<&T, Vec<&T>>) -> Option<Vec<T>> 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn name(text: &str) -> ObjectName {
-        ObjectName::new(text).expect("a good name")
-    }
+    use crate::testing::object as name;
 
     fn objects(needs: &[(&str, &[&str])]) -> Dependencies {
         let mut objects = Dependencies::of(NodeName::new("m").expect("a good name"));

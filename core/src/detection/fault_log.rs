@@ -153,12 +153,9 @@ fn scope(location: &FaultLocation) -> FaultLocation {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Incarnation;
     use crate::detection::FaultStatus;
-    use crate::{Incarnation, NodeName};
-
-    fn node(name: &str) -> NodeName {
-        NodeName::new(name).expect("a name")
-    }
+    use crate::testing::node;
 
     fn cable(neighbour: Option<&str>) -> FaultLocation {
         FaultLocation::Link {

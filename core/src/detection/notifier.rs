@@ -126,15 +126,8 @@ impl Machine for Notifier {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing::{at, node};
     use crate::{Fault, FaultId, FaultKind, FaultLocation, Incarnation};
-
-    fn at(millis: u64) -> Instant {
-        Instant::from_millis(millis)
-    }
-
-    fn node(name: &str) -> NodeName {
-        NodeName::new(name).expect("a name")
-    }
 
     fn remote() -> RecovererPort {
         RecovererPort::Remote(node("n"))

@@ -361,14 +361,7 @@ fn seen_of(node: NodeName, of: Incarnation, condition: NodeCondition, now: Insta
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn node(name: &str) -> NodeName {
-        NodeName::new(name).expect("a name")
-    }
-
-    fn at(millis: u64) -> Instant {
-        Instant::from_millis(millis)
-    }
+    use crate::testing::{at, node};
 
     fn conditions() -> [LinkCondition; 5] {
         let [reason, another] = ["because", "for another reason"].map(str::to_string);

@@ -5,18 +5,11 @@ use crate::contract::codec;
 use crate::net::trust::crypto::Seed;
 use crate::net::trust::policy::Role;
 use crate::net::trust::roster::{NodeRoster, RosterNode};
+use crate::testing::{at, node};
 use bytes::Bytes;
 use std::time::Duration;
 
 const LEASE: Duration = Duration::from_millis(400);
-
-fn ms(millis: u64) -> Instant {
-    Instant::from_millis(millis)
-}
-
-fn node(name: &str) -> NodeName {
-    NodeName::new(name).unwrap()
-}
 
 fn map() -> ObjectName {
     ObjectName::new("map").unwrap()
@@ -57,10 +50,10 @@ impl Robot {
         let (settle, expected) = (self.settle, self.expected.clone());
         let config =
             DirectoryConfig { node: node(name), incarnation, lease: LEASE, settle, expected };
-        let mut claims = Directory::new(config, ms(self.now));
+        let mut claims = Directory::new(config, at(self.now));
         for (other, theirs) in &mut self.nodes {
-            theirs.handle_opened(node(name), incarnation, ms(self.now));
-            claims.handle_opened(other.clone(), theirs.config.incarnation, ms(self.now));
+            theirs.handle_opened(node(name), incarnation, at(self.now));
+            claims.handle_opened(other.clone(), theirs.config.incarnation, at(self.now));
         }
         self.nodes.insert(node(name), claims);
         self.carry();
@@ -74,7 +67,7 @@ impl Robot {
     /// Parts `a` from the others, or leads paths there again. Their sessions go on.
     fn part(&mut self, parted: bool) {
         self.parted = parted;
-        let now = ms(self.now);
+        let now = at(self.now);
         let all: Vec<_> = self.nodes.keys().cloned().collect();
         for (name, directory) in &mut self.nodes {
             for other in all.iter().filter(|other| *other != name) {
@@ -96,7 +89,7 @@ impl Robot {
         match self.can_hear(&from, &to) {
             true => {
                 if let Some(claims) = self.nodes.get_mut(&to) {
-                    claims.handle_message(&from, &message, ms(self.now));
+                    claims.handle_message(&from, &message, at(self.now));
                 }
             }
             false => self.underway.push((from, to, message)),
@@ -142,7 +135,7 @@ impl Robot {
 
     fn claim(&mut self, who: &str, policy: ClaimPolicy) -> Result<Option<u64>, ClaimRefused> {
         let wanted = ClaimRequest::new(map(), policy);
-        let claimed = self.nodes.get_mut(&node(who)).unwrap().handle_claim(wanted, ms(self.now));
+        let claimed = self.nodes.get_mut(&node(who)).unwrap().handle_claim(wanted, at(self.now));
         self.carry();
         claimed
     }
@@ -150,7 +143,7 @@ impl Robot {
     fn advance(&mut self, millis: u64) {
         for _ in 0..millis {
             self.now += 1;
-            self.nodes.values_mut().for_each(|claims| claims.handle_timeout(ms(self.now)));
+            self.nodes.values_mut().for_each(|claims| claims.handle_timeout(at(self.now)));
             self.carry();
         }
     }
@@ -198,11 +191,11 @@ fn the_first_standby_takes_over_when_the_lease_of_a_node_that_died_is_over() {
     robot.outputs();
 
     robot.nodes.remove(&node("a"));
-    let now = ms(robot.now);
+    let now = at(robot.now);
     robot.nodes.values_mut().for_each(|claims| claims.handle_unreachable(&node("a"), now));
     robot.advance(300);
     assert_eq!(robot.holder("c").as_deref(), Some("a"), "its lease holds");
-    let now = ms(robot.now);
+    let now = at(robot.now);
     robot.nodes.values_mut().for_each(|claims| claims.handle_ended(&node("a"), now));
     robot.advance(110);
 
@@ -219,7 +212,7 @@ fn a_name_that_is_given_back_goes_to_a_standby_at_once() {
     robot.claim("a", ClaimPolicy::Standby).unwrap();
     robot.outputs();
 
-    robot.nodes.get_mut(&node("c")).unwrap().handle_withdrawn(&map(), ms(0));
+    robot.nodes.get_mut(&node("c")).unwrap().handle_withdrawn(&map(), at(0));
     robot.carry();
     robot.advance(1);
 
@@ -265,9 +258,9 @@ fn too_many_claims_and_nonsense_are_refused_and_counted_by_node() {
     let mut robot = Robot::new(&["a", "b"]);
     let hostile = (0..CLAIMS_MAX + PRESENT_MAX + 3).map(|n| outputs(&format!("name{n}"), 1));
     let claims = robot.nodes.get_mut(&node("b")).unwrap();
-    hostile.for_each(|outputs| claims.hear(&node("a"), outputs, ms(0)));
-    claims.handle_message(&node("a"), b"\xff\xff", ms(0));
-    claims.handle_message(&node("stranger"), b"\0", ms(0));
+    hostile.for_each(|outputs| claims.hear(&node("a"), outputs, at(0)));
+    claims.handle_message(&node("a"), b"\xff\xff", at(0));
+    claims.handle_message(&node("stranger"), b"\0", at(0));
 
     let refusals = claims.refusals().next().unwrap().1;
     assert_eq!((refusals.too_large, refusals.malformed), (3, 1));
@@ -278,8 +271,8 @@ fn too_many_claims_and_nonsense_are_refused_and_counted_by_node() {
 fn an_epoch_that_leaves_no_greater_one_is_refused() {
     let mut robot = Robot::new(&["a", "b"]);
     let claims = robot.nodes.get_mut(&node("b")).unwrap();
-    claims.hear(&node("a"), outputs("map", u64::MAX), ms(0));
-    claims.hear(&node("a"), outputs("plan", EPOCH_MAX - 1), ms(0));
+    claims.hear(&node("a"), outputs("map", u64::MAX), at(0));
+    claims.hear(&node("a"), outputs("plan", EPOCH_MAX - 1), at(0));
 
     assert_eq!(claims.refusals().next().unwrap().1.malformed, 1);
     robot.claim("b", ClaimPolicy::Refuse).unwrap();
@@ -317,7 +310,7 @@ fn a_name_that_nobody_has_is_granted_once_all_that_are_expected_were_heard_or_ar
     robot.start("d", 9);
     let other = ClaimRequest::new(ObjectName::new("plan").unwrap(), ClaimPolicy::Refuse);
     let claims = robot.nodes.get_mut(&node("d")).unwrap();
-    assert_eq!(claims.handle_claim(other, ms(robot.now)), Ok(None));
+    assert_eq!(claims.handle_claim(other, at(robot.now)), Ok(None));
     robot.outputs();
     robot.advance(299);
     assert_eq!(robot.outputs(), Vec::<String>::new());
@@ -343,16 +336,16 @@ fn what_is_told_again_in_parts_does_not_come_and_go() {
     let mut robot = Robot::new(&["a", "b"]);
     robot.claim("a", ClaimPolicy::Refuse).unwrap();
     let claims = robot.nodes.get_mut(&node("b")).unwrap();
-    claims.hear(&node("a"), outputs("old", 7), ms(0));
+    claims.hear(&node("a"), outputs("old", 7), at(0));
     while claims.poll_output().is_some() {}
 
     let epoch = claims.holder(&map()).unwrap().epoch;
     let first = DirectoryMessage::All { first: true, last: false, records: vec![] };
-    claims.handle_message(&node("a"), &codec::encode_unbounded(&first), ms(1));
+    claims.handle_message(&node("a"), &codec::encode_unbounded(&first), at(1));
     assert_eq!(claims.held(), 2);
     let last =
         DirectoryMessage::All { first: false, last: true, records: vec![outputs("map", epoch)] };
-    claims.handle_message(&node("a"), &codec::encode_unbounded(&last), ms(2));
+    claims.handle_message(&node("a"), &codec::encode_unbounded(&last), at(2));
 
     let old = ObjectName::new("old").unwrap();
     assert_eq!(claims.poll_output(), Some(DirectoryOutput::Held { name: old, holder: None }));
@@ -371,7 +364,7 @@ fn a_directory_that_is_built_again_keeps_what_its_node_holds_and_what_others_hav
         let mut lost = robot.nodes.remove(&node(name)).unwrap();
         // This was not carried out before the panic.
         lost.handle_present([object("leg")].into());
-        robot.nodes.insert(node(name), lost.rebuilt(ms(robot.now)));
+        robot.nodes.insert(node(name), lost.rebuilt(at(robot.now)));
         robot.carry();
     }
     robot.advance(500);
@@ -391,12 +384,12 @@ fn what_a_node_has_counts_again_when_its_path_is_back_within_a_session() {
 
     // Only one of the two misses the other: the other one says nothing again.
     let b = robot.nodes.get_mut(&node("b")).unwrap();
-    b.handle_unreachable(&node("a"), ms(0));
+    b.handle_unreachable(&node("a"), at(0));
     robot.advance(400);
     assert_eq!((robot.holder("b"), robot.seen("b", "a")), (None, vec![]));
     robot.has("a", &[object("leg")]);
     let b = robot.nodes.get_mut(&node("b")).unwrap();
-    b.handle_reachable(&node("a"), ms(robot.now));
+    b.handle_reachable(&node("a"), at(robot.now));
     robot.carry();
 
     assert_eq!(robot.seen("b", "a"), ["leg"]);
@@ -414,8 +407,8 @@ fn a_path_that_is_back_within_a_session_brings_what_changed_meanwhile_and_nothin
     assert_eq!(robot.seen("b", "a"), ["leg"]);
 
     let a = robot.nodes.get_mut(&node("a")).unwrap();
-    a.handle_unreachable(&node("b"), ms(robot.now));
-    a.handle_reachable(&node("b"), ms(robot.now));
+    a.handle_unreachable(&node("b"), at(robot.now));
+    a.handle_reachable(&node("b"), at(robot.now));
     assert_eq!(a.poll_output(), None);
 }
 
@@ -424,27 +417,26 @@ fn outputs(name: &str, epoch: u64) -> DirectoryRecord {
     DirectoryRecord { key: DirectoryKey::Name(ObjectName::new(name).unwrap()), claim }
 }
 
-/// The rights at each node, where these alone may claim the name.
-fn only(may_claim: &str) -> impl Fn(&str) -> AccessPolicy {
+/// The robot's nodes, with this line of policy.
+fn roster(line: &str) -> NodeRoster {
     let nodes = ["a", "b", "c"].iter().zip(1..).map(|(name, seed)| RosterNode {
         name: node(name),
         keys: Seed::new([seed; 32]).public_keys(),
         role: Role::Node,
     });
     let roster = NodeRoster::new(node("ranger"), nodes).expect("different nodes");
-    let line = format!("policy\nonly {may_claim} may claim on map\nend");
-    let roster = NodeRoster::parse(&roster.to_text().replace("end", &line)).expect("a line");
-    move |own| AccessPolicy::new(node(own), &roster)
+    let lines = format!("policy\n{line}end");
+    NodeRoster::parse(&roster.to_text().replace("end", &lines)).expect("a line")
 }
 
 #[test]
 fn only_who_may_claim_a_name_gets_it_and_another_policy_takes_it_away() {
     let mut robot = Robot::new(&["a", "b", "c"]);
     // The other nodes know the policy, and the claimant does not mind it.
-    let policy = only("b");
+    let policy = roster("only b may claim on map\n");
     for own in ["b", "c"] {
-        let machine = robot.nodes.get_mut(&node(own)).expect("it is there");
-        machine.handle_access(policy(own), ms(0));
+        let machine = robot.nodes.get_mut(&node(own)).unwrap();
+        machine.handle_access(AccessPolicy::new(node(own), &policy), at(0));
     }
     assert!(robot.claim("a", ClaimPolicy::Refuse).is_ok_and(|epoch| epoch.is_some()));
     // It tells them that it wants the name, and that it has it.
@@ -459,10 +451,10 @@ fn only_who_may_claim_a_name_gets_it_and_another_policy_takes_it_away() {
     assert_eq!(robot.holder("c").as_deref(), Some("b"));
     robot.outputs();
 
-    let policy = only("a c");
+    let policy = roster("only a c may claim on map\n");
     for own in ["b", "c"] {
-        let machine = robot.nodes.get_mut(&node(own)).expect("it is there");
-        machine.handle_access(policy(own), ms(robot.now));
+        let machine = robot.nodes.get_mut(&node(own)).unwrap();
+        machine.handle_access(AccessPolicy::new(node(own), &policy), at(robot.now));
         robot.carry();
     }
     assert!(robot.outputs().contains(&"b is refused map".to_owned()));
@@ -517,14 +509,14 @@ fn who_meets_a_node_is_told_of_all_that_it_has_and_forgets_it_a_lease_after_its_
     robot.start("b", 0);
     assert_eq!(robot.seen("b", "a").len(), 300);
     // The next session of the same incarnation takes nothing away.
-    robot.nodes.get_mut(&node("b")).unwrap().handle_ended(&node("a"), ms(0));
-    robot.nodes.get_mut(&node("b")).unwrap().handle_opened(node("a"), Incarnation(0), ms(0));
-    robot.nodes.get_mut(&node("a")).unwrap().handle_opened(node("b"), Incarnation(0), ms(0));
+    robot.nodes.get_mut(&node("b")).unwrap().handle_ended(&node("a"), at(0));
+    robot.nodes.get_mut(&node("b")).unwrap().handle_opened(node("a"), Incarnation(0), at(0));
+    robot.nodes.get_mut(&node("a")).unwrap().handle_opened(node("b"), Incarnation(0), at(0));
     robot.carry();
     assert_eq!(robot.seen("b", "a").len(), 300);
 
     robot.nodes.remove(&node("a"));
-    robot.nodes.get_mut(&node("b")).unwrap().handle_ended(&node("a"), ms(0));
+    robot.nodes.get_mut(&node("b")).unwrap().handle_ended(&node("a"), at(0));
     robot.advance(399);
     assert_eq!(robot.holder("b").as_deref(), Some("a"));
     robot.advance(1);
@@ -536,17 +528,11 @@ fn a_publisher_counts_only_where_its_node_may_publish() {
     let mut robot = Robot::new(&["a", "b"]);
     robot.has("a", &[publisher("map"), object("map")]);
     robot.outputs();
-    let nodes = ["a", "b"].iter().zip(1..).map(|(name, seed)| RosterNode {
-        name: node(name),
-        keys: Seed::new([seed; 32]).public_keys(),
-        role: Role::Node,
-    });
-    let roster = NodeRoster::new(node("ranger"), nodes).expect("different nodes");
-    let line = "policy\nonly b may publish on map\nend";
-    let narrow = NodeRoster::parse(&roster.to_text().replace("end", line)).expect("a line");
-    for (roster, seen) in [(&narrow, &["map"][..]), (&roster, &["map", "scan on map"])] {
+    for (line, seen) in
+        [("only b may publish on map\n", &["map"][..]), ("", &["map", "scan on map"])]
+    {
         let b = robot.nodes.get_mut(&node("b")).unwrap();
-        b.handle_access(AccessPolicy::new(node("b"), roster), ms(robot.now));
+        b.handle_access(AccessPolicy::new(node("b"), &roster(line)), at(robot.now));
         assert_eq!(robot.seen("b", "a"), seen);
         let publishing = robot.nodes[&node("b")].nodes_with(&publisher("map"));
         assert_eq!(publishing.len(), seen.len() - 1);
@@ -571,10 +557,10 @@ fn what_is_beyond_the_bounds_of_a_node_is_not_told_and_not_taken() {
     let b = robot.nodes.get_mut(&node("b")).unwrap();
     let long = DirectoryKey::Publisher { topic: map(), contract: "x".repeat(256) };
     let claim = NameClaim::default();
-    b.hear(&node("a"), DirectoryRecord { key: long, claim: claim.clone() }, ms(0));
+    b.hear(&node("a"), DirectoryRecord { key: long, claim: claim.clone() }, at(0));
     for n in 0..CLAIMS_MAX + 3 {
         let key = object(&format!("more{n}"));
-        b.hear(&node("a"), DirectoryRecord { key, claim: claim.clone() }, ms(0));
+        b.hear(&node("a"), DirectoryRecord { key, claim: claim.clone() }, at(0));
     }
     let refusals = b.refusals().next().unwrap().1;
     assert_eq!((refusals.too_large, refusals.malformed), (3, 1));

@@ -89,45 +89,46 @@ mod tests {
     use super::*;
     use crate::NodeName;
     use crate::directory::NameHeld;
-
-    fn name(text: &str) -> ObjectName {
-        ObjectName::new(text).unwrap()
-    }
+    use crate::testing::object;
 
     fn held(by: &str) -> ClaimRefused {
         let holder = NodeName::new(by).unwrap();
-        NameHeld { name: name("map"), holder, epoch: 7 }.into()
+        NameHeld { name: object("map"), holder, epoch: 7 }.into()
     }
 
     #[test]
     fn all_are_named_who_go_without_and_no_others() {
         let mut without = UnmetClaims::default();
         assert_eq!(without.text(), None);
-        without.handle_refused((name("map"), 1), name("one"), &held("a"));
-        without.handle_doubled((name("map"), 2), name("two"), &name("one"));
+        without.handle_refused((object("map"), 1), object("one"), &held("a"));
+        without.handle_doubled((object("map"), 2), object("two"), &object("one"));
         let text = without.text().unwrap();
         assert!(text.starts_with("one goes without the name map: map is claimed by a, "), "{text}");
         assert!(text.contains("; two goes without the name map: one of this node"), "{text}");
 
-        without.handle_end(&name("map"), 1);
+        without.handle_end(&object("map"), 1);
         assert!(without.text().unwrap().starts_with("two goes"));
-        without.handle_end(&name("other"), 2);
-        without.handle_end(&name("map"), 2);
+        without.handle_end(&object("other"), 2);
+        without.handle_end(&object("map"), 2);
         assert_eq!(without.text(), None);
     }
 
     #[test]
     fn it_is_said_who_holds_the_name_now() {
         let mut without = UnmetClaims::default();
-        without.handle_refused((name("map"), 1), name("one"), &held("a"));
-        without.handle_refused((name("map"), 2), name("two"), &ClaimRefused::TooMany { limit: 1 });
+        without.handle_refused((object("map"), 1), object("one"), &held("a"));
+        without.handle_refused(
+            (object("map"), 2),
+            object("two"),
+            &ClaimRefused::TooMany { limit: 1 },
+        );
 
-        without.handle_holder(&name("map"), None);
+        without.handle_holder(&object("map"), None);
         assert!(without.text().unwrap().contains("it has no holder now: restart one, or"));
         let node = NodeName::new("b").unwrap();
-        let holder = Holder { node, object: name("map"), epoch: 9 };
-        without.handle_holder(&name("map"), Some(&holder));
-        without.handle_holder(&name("maps"), None);
+        let holder = Holder { node, object: object("map"), epoch: 9 };
+        without.handle_holder(&object("map"), Some(&holder));
+        without.handle_holder(&object("maps"), None);
 
         let text = without.text().unwrap();
         assert!(
@@ -139,7 +140,8 @@ mod tests {
     #[test]
     fn of_many_the_first_are_named() {
         let mut without = UnmetClaims::default();
-        (0..100).for_each(|n| without.handle_refused((name("map"), n), name("one"), &held("a")));
+        (0..100)
+            .for_each(|n| without.handle_refused((object("map"), n), object("one"), &held("a")));
         assert!(without.text().unwrap().ends_with("; and 92 more"));
     }
 }

@@ -361,15 +361,12 @@ fn check_ladder(
 mod tests {
     use super::*;
     use crate::recovery::Backoff;
+    use crate::testing::object;
     use std::time::Duration;
-
-    fn name(text: &str) -> ObjectName {
-        ObjectName::new(text).expect("a good name")
-    }
 
     fn message(plan: &Plan) -> String {
         let own = [FaultKind::Custom("GRIP".into())];
-        let components = [name("laser"), name("planner")];
+        let components = [object("laser"), object("planner")];
         plan.check(&components, &own, ["homing"]).expect_err("a wrong plan").to_string()
     }
 
@@ -417,13 +414,13 @@ mod tests {
     #[test]
     fn an_exception_of_a_component_goes_before_the_general_answer() {
         let plan = Plan::default().on_component(
-            name("laser"),
+            object("laser"),
             FaultKind::Panic,
             Ladder::first(RecoveryAction::Isolate),
         );
 
-        assert!(!plan.restarts_on_the_spot(&name("laser")));
-        assert!(plan.restarts_on_the_spot(&name("planner")));
+        assert!(!plan.restarts_on_the_spot(&object("laser")));
+        assert!(plan.restarts_on_the_spot(&object("planner")));
         let laser = FaultLocation::Object("module1:laser".parse().expect("a good name"));
         let first = |node: &str| {
             let node = node.parse().expect("a good name");
@@ -445,7 +442,7 @@ mod tests {
         );
         assert_eq!(
             message(&good().on_component(
-                name("lazer"),
+                object("lazer"),
                 FaultKind::Hang,
                 Ladder::first(RecoveryAction::Restart),
             )),
@@ -454,7 +451,7 @@ mod tests {
         );
         assert_eq!(
             message(&good().on_component(
-                name("laser"),
+                object("laser"),
                 FaultKind::Silence,
                 Ladder::first(RecoveryAction::Custom("home".into())),
             )),
@@ -502,7 +499,7 @@ mod tests {
         for kind in FaultKind::built_in() {
             let plan = good().on(kind.clone(), Ladder::first(RecoveryAction::Reroute));
             let own = [FaultKind::Custom("GRIP".into())];
-            let works = plan.check(&[name("laser")], &own, ["homing"]).is_ok();
+            let works = plan.check(&[object("laser")], &own, ["homing"]).is_ok();
             // B11 to B13 link down, link degraded, node lost; then what else befalls a node.
             let network = ["B11", "B12", "B13", "B15", "B18", "B23", "B24"];
             assert_eq!(works, network.contains(&kind.code()), "{kind}");
@@ -547,7 +544,7 @@ mod tests {
 
         assert!(message(&good().on(own("B01"), ladder())).contains("a built-in kind has it"));
         assert!(message(&good().on(own(""), ladder())).contains("give it one"));
-        let of_one = good().on_component(name("laser"), own("B02"), ladder());
+        let of_one = good().on_component(object("laser"), own("B02"), ladder());
         assert!(message(&of_one).contains("\"B02\""));
         let abroad = good().on_other_nodes(own("B04"), ladder());
         assert!(message(&abroad).contains("\"B04\""));

@@ -93,10 +93,6 @@ fn message(length: usize) -> Bytes {
     (0..length).map(|at| (at % 251) as u8).collect()
 }
 
-fn in_real_time(test: impl Future<Output = ()>) {
-    actix::System::new().block_on(test);
-}
-
 /// Programs by their path: the guest's shell has some of the same name that know less.
 fn sh(command: &str) {
     let status = Command::new("sh").args(["-c", command]).status().unwrap();
@@ -113,162 +109,138 @@ async fn appears(path: &str) {
     tokio::time::timeout(PATIENCE, there).await.expect(path);
 }
 
-#[test]
-fn two_controllers_on_one_bus_hear_each_other_until_one_is_down_and_when_it_is_up_again() {
-    let _turn = blastema_doubles::turn();
-    in_real_time(async {
-        let (a, b) = (End::can("can0", 1), End::can("can1", 2));
-        a.opened().await;
-        b.opened().await;
-        let (at_a, at_b) = (MediumAddress::Can(1), MediumAddress::Can(2));
-        a.speak_with(&b, at_a.clone(), at_b.clone()).await;
+#[blastema_macros::test(crate = "blastema_doubles::real")]
+async fn two_controllers_on_one_bus_hear_each_other_until_one_is_down_and_when_it_is_up_again() {
+    let (a, b) = (End::can("can0", 1), End::can("can1", 2));
+    a.opened().await;
+    b.opened().await;
+    let (at_a, at_b) = (MediumAddress::Can(1), MediumAddress::Can(2));
+    a.speak_with(&b, at_a.clone(), at_b.clone()).await;
 
-        sh("/sbin/ip link set can1 down");
-        let reason = b.closed().await;
-        assert!(reason.contains("ip link set can1 up"), "{reason}");
-        sh("/sbin/ip link set can1 up type can bitrate 500000");
-        b.opened().await;
+    sh("/sbin/ip link set can1 down");
+    let reason = b.closed().await;
+    assert!(reason.contains("ip link set can1 up"), "{reason}");
+    sh("/sbin/ip link set can1 up type can bitrate 500000");
+    b.opened().await;
 
-        a.speak_with(&b, at_a, at_b).await;
-    });
+    a.speak_with(&b, at_a, at_b).await;
 }
 
-#[test]
-fn a_controller_that_is_removed_is_used_again_when_it_is_back() {
-    let _turn = blastema_doubles::turn();
-    in_real_time(async {
-        let (a, b) = (End::can("can0", 1), End::can("can1", 2));
-        a.opened().await;
-        b.opened().await;
+#[blastema_macros::test(crate = "blastema_doubles::real")]
+async fn a_controller_that_is_removed_is_used_again_when_it_is_back() {
+    let (a, b) = (End::can("can0", 1), End::can("can1", 2));
+    a.opened().await;
+    b.opened().await;
 
-        let device = std::fs::canonicalize("/sys/class/net/can1/device").unwrap();
-        let device = device.file_name().unwrap().to_str().unwrap();
-        sh(&format!("echo {device} > /sys/bus/pci/drivers/kvaser_pci/unbind"));
-        let reason = b.closed().await;
-        assert!(reason.contains("plug the adapter in") || reason.contains("is down"), "{reason}");
-        sh(&format!("echo {device} > /sys/bus/pci/drivers/kvaser_pci/bind"));
-        appears("/sys/class/net/can1").await;
-        sh("/sbin/ip link set can1 up type can bitrate 500000");
-        b.opened().await;
+    let device = std::fs::canonicalize("/sys/class/net/can1/device").unwrap();
+    let device = device.file_name().unwrap().to_str().unwrap();
+    sh(&format!("echo {device} > /sys/bus/pci/drivers/kvaser_pci/unbind"));
+    let reason = b.closed().await;
+    assert!(reason.contains("plug the adapter in") || reason.contains("is down"), "{reason}");
+    sh(&format!("echo {device} > /sys/bus/pci/drivers/kvaser_pci/bind"));
+    appears("/sys/class/net/can1").await;
+    sh("/sbin/ip link set can1 up type can bitrate 500000");
+    b.opened().await;
 
-        a.speak_with(&b, MediumAddress::Can(1), MediumAddress::Can(2)).await;
-    });
+    a.speak_with(&b, MediumAddress::Can(1), MediumAddress::Can(2)).await;
 }
 
-#[test]
-fn an_interface_that_carries_no_fd_frames_is_refused_with_what_helps() {
-    let _turn = blastema_doubles::turn();
-    in_real_time(async {
-        let mut config = CanConfig::new("can0");
-        config.fd = true;
-        let end = End::new(CanBus::new(config, now));
+#[blastema_macros::test(crate = "blastema_doubles::real")]
+async fn an_interface_that_carries_no_fd_frames_is_refused_with_what_helps() {
+    let mut config = CanConfig::new("can0");
+    config.fd = true;
+    let end = End::new(CanBus::new(config, now));
 
-        let reason = end.closed().await;
+    let reason = end.closed().await;
 
-        assert!(reason.contains("fd on"), "{reason}");
-    });
+    assert!(reason.contains("fd on"), "{reason}");
 }
 
-#[test]
-fn a_controller_that_leaves_the_bus_is_closed_at_once_and_told_why() {
-    let _turn = blastema_doubles::turn();
-    in_real_time(async {
-        sh("/sbin/ip link add vcan7 type vcan");
-        sh("/sbin/ip link set vcan7 up");
-        let end = End::can("vcan7", 1);
-        end.opened().await;
+#[blastema_macros::test(crate = "blastema_doubles::real")]
+async fn a_controller_that_leaves_the_bus_is_closed_at_once_and_told_why() {
+    sh("/sbin/ip link add vcan7 type vcan");
+    sh("/sbin/ip link set vcan7 up");
+    let end = End::can("vcan7", 1);
+    end.opened().await;
 
-        // What the kernel says of a controller that has had too many errors: no test makes those
-        // here.
-        let other = CanFdSocket::open("vcan7").unwrap();
-        let word = [&0x2000_0040_u32.to_ne_bytes()[..], &[8, 0, 0, 0], &[0; 8]].concat();
-        assert_eq!(rustix::io::write(&other, &word), Ok(16));
+    // What the kernel says of a controller that has had too many errors: no test makes those
+    // here.
+    let other = CanFdSocket::open("vcan7").unwrap();
+    let word = [&0x2000_0040_u32.to_ne_bytes()[..], &[8, 0, 0, 0], &[0; 8]].concat();
+    assert_eq!(rustix::io::write(&other, &word), Ok(16));
 
-        let reason = end.closed().await;
-        assert!(reason.contains("off the bus") && reason.contains("restart-ms"), "{reason}");
-        end.opened().await;
-    });
+    let reason = end.closed().await;
+    assert!(reason.contains("off the bus") && reason.contains("restart-ms"), "{reason}");
+    end.opened().await;
 }
 
-#[test]
-fn an_interface_that_is_not_there_is_used_once_it_is() {
-    let _turn = blastema_doubles::turn();
-    in_real_time(async {
-        let end = End::can("vcan9", 1);
-        let reason = end.closed().await;
-        assert!(reason.contains("no such interface"), "{reason}");
+#[blastema_macros::test(crate = "blastema_doubles::real")]
+async fn an_interface_that_is_not_there_is_used_once_it_is() {
+    let end = End::can("vcan9", 1);
+    let reason = end.closed().await;
+    assert!(reason.contains("no such interface"), "{reason}");
 
-        sh("/sbin/ip link add vcan9 type vcan");
-        let reason = end.closed().await;
-        assert!(reason.contains("it is down"), "{reason}");
-        sh("/sbin/ip link set vcan9 up");
-        end.opened().await;
-        sh("/sbin/ip link del vcan9");
-        end.closed().await;
-    });
+    sh("/sbin/ip link add vcan9 type vcan");
+    let reason = end.closed().await;
+    assert!(reason.contains("it is down"), "{reason}");
+    sh("/sbin/ip link set vcan9 up");
+    end.opened().await;
+    sh("/sbin/ip link del vcan9");
+    end.closed().await;
 }
 
-#[test]
-fn a_usb_device_without_a_line_is_not_held_to_the_speed_that_was_set() {
-    let _turn = blastema_doubles::turn();
-    in_real_time(async {
-        appears("/dev/ttyACM0").await;
-        appears("/dev/ttyGS0").await;
-        let end = |path: &str| End::new(SerialLine::new(SerialConfig::new(path), now));
-        let (host, device) = (end("/dev/ttyACM0"), end("/dev/ttyGS0"));
-        host.opened().await;
-        device.opened().await;
-        host.speak_with(&device, MediumAddress::Line, MediumAddress::Line).await;
+#[blastema_macros::test(crate = "blastema_doubles::real")]
+async fn a_usb_device_without_a_line_is_not_held_to_the_speed_that_was_set() {
+    appears("/dev/ttyACM0").await;
+    appears("/dev/ttyGS0").await;
+    let end = |path: &str| End::new(SerialLine::new(SerialConfig::new(path), now));
+    let (host, device) = (end("/dev/ttyACM0"), end("/dev/ttyGS0"));
+    host.opened().await;
+    device.opened().await;
+    host.speak_with(&device, MediumAddress::Line, MediumAddress::Line).await;
 
-        let began = now();
-        for _ in 0..100 {
-            host.send(MediumAddress::Line, message(500));
-            tokio::time::timeout(PATIENCE, device.frames.expect()).await.expect("it comes");
-        }
+    let began = now();
+    for _ in 0..100 {
+        host.send(MediumAddress::Line, message(500));
+        tokio::time::timeout(PATIENCE, device.frames.expect()).await.expect("it comes");
+    }
 
-        let line = SerialConfig::new("/dev/ttyACM0").time_of(100 * 500);
-        assert!(now() - began < line / 2, "{:?}, where a line takes {line:?}", now() - began);
-    });
+    let line = SerialConfig::new("/dev/ttyACM0").time_of(100 * 500);
+    assert!(now() - began < line / 2, "{:?}, where a line takes {line:?}", now() - began);
 }
 
-#[test]
-fn a_driver_of_a_real_port_that_cannot_turn_rs485_says_so() {
-    let _turn = blastema_doubles::turn();
-    in_real_time(async {
-        let mut config = SerialConfig::new("/dev/ttyS1");
-        config.rs485 = Some(Rs485::default());
-        let reason = End::new(SerialLine::new(config, now)).closed().await;
-        assert!(reason.contains("does not turn the line"), "{reason}");
-    });
+#[blastema_macros::test(crate = "blastema_doubles::real")]
+async fn a_driver_of_a_real_port_that_cannot_turn_rs485_says_so() {
+    let mut config = SerialConfig::new("/dev/ttyS1");
+    config.rs485 = Some(Rs485::default());
+    let reason = End::new(SerialLine::new(config, now)).closed().await;
+    assert!(reason.contains("does not turn the line"), "{reason}");
 }
 
-#[test]
-fn a_usb_serial_device_that_is_unbound_is_opened_when_it_is_back() {
-    let _turn = blastema_doubles::turn();
-    in_real_time(async {
-        let fast = |path: &str| {
-            let mut config = SerialConfig::new(path);
-            config.baud = Some(1_000_000);
-            End::new(SerialLine::new(config, now))
-        };
-        appears("/dev/ttyACM0").await;
-        appears("/dev/ttyGS0").await;
-        let (host, device) = (fast("/dev/ttyACM0"), fast("/dev/ttyGS0"));
-        host.opened().await;
-        device.opened().await;
-        let line = MediumAddress::Line;
-        host.speak_with(&device, line.clone(), line.clone()).await;
+#[blastema_macros::test(crate = "blastema_doubles::real")]
+async fn a_usb_serial_device_that_is_unbound_is_opened_when_it_is_back() {
+    let fast = |path: &str| {
+        let mut config = SerialConfig::new(path);
+        config.baud = Some(1_000_000);
+        End::new(SerialLine::new(config, now))
+    };
+    appears("/dev/ttyACM0").await;
+    appears("/dev/ttyGS0").await;
+    let (host, device) = (fast("/dev/ttyACM0"), fast("/dev/ttyGS0"));
+    host.opened().await;
+    device.opened().await;
+    let line = MediumAddress::Line;
+    host.speak_with(&device, line.clone(), line.clone()).await;
 
-        let port = std::fs::canonicalize("/sys/class/tty/ttyACM0/device").unwrap();
-        let port = port.file_name().unwrap().to_str().unwrap();
-        sh(&format!("echo {port} > /sys/bus/usb/drivers/cdc_acm/unbind"));
-        let reason = host.closed().await;
-        assert!(reason.contains("plug"), "{reason}");
-        sh(&format!("echo {port} > /sys/bus/usb/drivers/cdc_acm/bind"));
-        host.opened().await;
+    let port = std::fs::canonicalize("/sys/class/tty/ttyACM0/device").unwrap();
+    let port = port.file_name().unwrap().to_str().unwrap();
+    sh(&format!("echo {port} > /sys/bus/usb/drivers/cdc_acm/unbind"));
+    let reason = host.closed().await;
+    assert!(reason.contains("plug"), "{reason}");
+    sh(&format!("echo {port} > /sys/bus/usb/drivers/cdc_acm/bind"));
+    host.opened().await;
 
-        host.speak_with(&device, line.clone(), line).await;
-    });
+    host.speak_with(&device, line.clone(), line).await;
 }
 
 const FD: Format = Format::Fd { fast: false };
@@ -452,24 +424,21 @@ async fn serve(mut port: tokio_serial::SerialStream, said: actix::Recipient<Said
 #[rtype(result = "()")]
 struct Said(Line);
 
-#[test]
-fn the_kernels_slcan_driver_understands_our_codec_and_ours_the_drivers() {
-    let _turn = blastema_doubles::turn();
-    in_real_time(async {
-        let port = tokio_serial::new("/dev/ttyS2", 115_200);
-        let port = tokio_serial::SerialStream::open(&port).unwrap();
-        let said = Probe::start();
-        tokio::task::spawn_local(serve(port, said.recipient()));
-        sh("slcand -o -s6 -S 115200 ttyS1 slcan0");
-        appears("/sys/class/net/slcan0").await;
-        sh("/sbin/ip link set slcan0 up");
-        for expected in [Line::Close, Line::BitRate(BitRate::of(500_000).unwrap()), Line::Open] {
-            assert_eq!(said.expect().await.0, expected);
-        }
+#[blastema_macros::test(crate = "blastema_doubles::real")]
+async fn the_kernels_slcan_driver_understands_our_codec_and_ours_the_drivers() {
+    let port = tokio_serial::new("/dev/ttyS2", 115_200);
+    let port = tokio_serial::SerialStream::open(&port).unwrap();
+    let said = Probe::start();
+    tokio::task::spawn_local(serve(port, said.recipient()));
+    sh("slcand -o -s6 -S 115200 ttyS1 slcan0");
+    appears("/sys/class/net/slcan0").await;
+    sh("/sbin/ip link set slcan0 up");
+    for expected in [Line::Close, Line::BitRate(BitRate::of(500_000).unwrap()), Line::Open] {
+        assert_eq!(said.expect().await.0, expected);
+    }
 
-        let (a, b) = (End::can("slcan0", 1), End::can("vcan0", 2));
-        a.opened().await;
-        b.opened().await;
-        a.speak_with(&b, MediumAddress::Can(1), MediumAddress::Can(2)).await;
-    });
+    let (a, b) = (End::can("slcan0", 1), End::can("vcan0", 2));
+    a.opened().await;
+    b.opened().await;
+    a.speak_with(&b, MediumAddress::Can(1), MediumAddress::Can(2)).await;
 }

@@ -1,7 +1,7 @@
 //! An attacker that reaches a port may send anything to it. Real sockets on loopback; assertions
 //! are about counters, never about a clock.
 
-use crate::conformance::end::{End, in_real_time};
+use crate::conformance::end::End;
 use crate::conformance::media::ip;
 use actix::Actor;
 use blastema_contract::transport::TransportCounters;
@@ -60,95 +60,83 @@ impl Drop for Flood {
     }
 }
 
-#[test]
-fn a_flood_of_garbage_datagrams_keeps_no_friend_out() {
-    let _turn = blastema_doubles::turn();
-    in_real_time(async {
-        let mut config = UdpConfig::default();
-        config.mtu = Some(1000);
-        let [target, friend] =
-            [config.clone(), config].map(|config| End::new(Udp::new(config).start()));
-        let (at, _) = (ip(&target.opened().await.0), friend.opened().await);
-        let flood = Flood::at(at);
+#[blastema_macros::test(crate = "blastema_doubles::real")]
+async fn a_flood_of_garbage_datagrams_keeps_no_friend_out() {
+    let mut config = UdpConfig::default();
+    config.mtu = Some(1000);
+    let [target, friend] =
+        [config.clone(), config].map(|config| End::new(Udp::new(config).start()));
+    let (at, _) = (ip(&target.opened().await.0), friend.opened().await);
+    let flood = Flood::at(at);
 
-        target.counted(|counters| counters.received > 10_000).await;
-        for number in 0..20_u8 {
-            friend.reaches(&target, at, vec![number]).await;
-        }
-        drop(flood);
+    target.counted(|counters| counters.received > 10_000).await;
+    for number in 0..20_u8 {
+        friend.reaches(&target, at, vec![number]).await;
+    }
+    drop(flood);
 
-        let TransportCounters { received, refused, .. } = target.counters().await;
-        assert!(received > 10_000 && refused > 1000, "{received} received, {refused} refused");
-        assert!(target.reports.drain().is_empty(), "it was open all the while");
-    });
+    let TransportCounters { received, refused, .. } = target.counters().await;
+    assert!(received > 10_000 && refused > 1000, "{received} received, {refused} refused");
+    assert!(target.reports.drain().is_empty(), "it was open all the while");
 }
 
-#[test]
-fn a_thousand_connections_that_say_nothing_keep_no_friend_out() {
-    let _turn = blastema_doubles::turn();
-    in_real_time(async {
-        let [(target, at), (friend, at_friend)] = target_and_friend().await;
-        let (late, _) = tcp().await;
+#[blastema_macros::test(crate = "blastema_doubles::real")]
+async fn a_thousand_connections_that_say_nothing_keep_no_friend_out() {
+    let [(target, at), (friend, at_friend)] = target_and_friend().await;
+    let (late, _) = tcp().await;
 
-        let mut silent = Vec::new();
-        for _ in 0..1000 {
-            silent.push(TcpStream::connect(at).await.expect("loopback takes it"));
-        }
+    let mut silent = Vec::new();
+    for _ in 0..1000 {
+        silent.push(TcpStream::connect(at).await.expect("loopback takes it"));
+    }
 
-        // As many as have a place as strangers are still there, and no more.
-        let places = TcpConfig::default().limits.strangers as u64;
-        target.counted(|counters| counters.refused >= 1000 - places).await;
-        friend.reaches(&target, at, "meanwhile").await;
-        late.reaches(&target, at, "who comes late").await;
-        target.reaches(&friend, at_friend, "the other way").await;
-        assert!(friend.reports.drain().is_empty(), "the friend's connection was never lost");
-        drop(silent);
-    });
+    // As many as have a place as strangers are still there, and no more.
+    let places = TcpConfig::default().limits.strangers as u64;
+    target.counted(|counters| counters.refused >= 1000 - places).await;
+    friend.reaches(&target, at, "meanwhile").await;
+    late.reaches(&target, at, "who comes late").await;
+    target.reaches(&friend, at_friend, "the other way").await;
+    assert!(friend.reports.drain().is_empty(), "the friend's connection was never lost");
+    drop(silent);
 }
 
-#[test]
-fn a_thousand_strangers_who_claim_to_be_peers_are_bounded_and_keep_no_friend_out() {
-    let _turn = blastema_doubles::turn();
-    in_real_time(async {
-        let [(target, at), (friend, at_friend)] = target_and_friend().await;
+#[blastema_macros::test(crate = "blastema_doubles::real")]
+async fn a_thousand_strangers_who_claim_to_be_peers_are_bounded_and_keep_no_friend_out() {
+    let [(target, at), (friend, at_friend)] = target_and_friend().await;
 
-        let mut claimants = Vec::new();
-        for port in 1..=1000_u16 {
-            let mut claimant = TcpStream::connect(at).await.expect("loopback takes it");
-            claimant.write_all(&encode_preamble(port)).await.expect("a fresh buffer is empty");
-            claimants.push(claimant);
-        }
+    let mut claimants = Vec::new();
+    for port in 1..=1000_u16 {
+        let mut claimant = TcpStream::connect(at).await.expect("loopback takes it");
+        claimant.write_all(&encode_preamble(port)).await.expect("a fresh buffer is empty");
+        claimants.push(claimant);
+    }
 
-        // The friend has one of the places.
-        let places = TcpConfig::default().limits.peers as u64 - 1;
-        target.counted(|counters| counters.refused + counters.errors >= 1000 - places).await;
-        friend.reaches(&target, at, "meanwhile").await;
-        target.reaches(&friend, at_friend, "the other way").await;
-        assert!(friend.reports.drain().is_empty(), "the friend's connection was never lost");
-        drop(claimants);
-    });
+    // The friend has one of the places.
+    let places = TcpConfig::default().limits.peers as u64 - 1;
+    target.counted(|counters| counters.refused + counters.errors >= 1000 - places).await;
+    friend.reaches(&target, at, "meanwhile").await;
+    target.reaches(&friend, at_friend, "the other way").await;
+    assert!(friend.reports.drain().is_empty(), "the friend's connection was never lost");
+    drop(claimants);
 }
 
-#[test]
-fn peers_who_never_finish_a_frame_are_no_burden_to_the_others() {
-    let _turn = blastema_doubles::turn();
-    in_real_time(async {
-        let [(target, at), (friend, _)] = target_and_friend().await;
+#[blastema_macros::test(crate = "blastema_doubles::real")]
+async fn peers_who_never_finish_a_frame_are_no_burden_to_the_others() {
+    let [(target, at), (friend, _)] = target_and_friend().await;
 
-        let mut halting = Vec::new();
-        for port in 1..=50_u16 {
-            let mut peer = TcpStream::connect(at).await.expect("loopback takes it");
-            peer.write_all(&encode_preamble(port)).await.expect("a fresh buffer is empty");
-            peer.write_all(&encode_header(64 * 1024)).await.expect("a fresh buffer is empty");
-            peer.write_all(&[7; 60 * 1024]).await.expect("the target reads what it may");
-            halting.push(peer);
-        }
+    let mut halting = Vec::new();
+    for port in 1..=50_u16 {
+        let mut peer = TcpStream::connect(at).await.expect("loopback takes it");
+        peer.write_all(&encode_preamble(port)).await.expect("a fresh buffer is empty");
+        peer.write_all(&encode_header(64 * 1024)).await.expect("a fresh buffer is empty");
+        peer.write_all(&[7; 60 * 1024]).await.expect("the target reads what it may");
+        halting.push(peer);
+    }
 
-        for number in 0..20_u8 {
-            friend.reaches(&target, at, vec![number]).await;
-        }
-        let TransportCounters { refused, errors, .. } = target.counters().await;
-        assert_eq!((refused, errors), (0, 0));
-        drop(halting);
-    });
+    for number in 0..20_u8 {
+        friend.reaches(&target, at, vec![number]).await;
+    }
+    let TransportCounters { refused, errors, .. } = target.counters().await;
+    assert_eq!((refused, errors), (0, 0));
+    drop(halting);
 }

@@ -59,226 +59,206 @@ impl Bench {
     }
 }
 
-#[test]
-fn a_good_cable_passes_everything_both_ways() {
-    paused(async {
-        let bench = Bench::new(1).await;
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_good_cable_passes_everything_both_ways() {
+    let bench = Bench::new(1).await;
 
-        bench.transmit(0..100);
-        bench.receive(100..200);
-        advance(Duration::ZERO).await;
+    bench.transmit(0..100);
+    bench.receive(100..200);
+    advance(Duration::ZERO).await;
 
-        assert_eq!(bench.sent(), (0..100).collect::<Vec<_>>());
-        assert_eq!(bench.received(), (100..200).collect::<Vec<_>>());
-        let InjectedFaults { outgoing, incoming } = bench.injected().await;
-        assert_eq!((outgoing.passed, incoming.passed), (100, 100));
-    });
+    assert_eq!(bench.sent(), (0..100).collect::<Vec<_>>());
+    assert_eq!(bench.received(), (100..200).collect::<Vec<_>>());
+    let InjectedFaults { outgoing, incoming } = bench.injected().await;
+    assert_eq!((outgoing.passed, incoming.passed), (100, 100));
 }
 
-#[test]
-fn each_direction_is_as_bad_as_told() {
-    paused(async {
-        let bench = Bench::new(1).await;
-        let lossy = Impairment { loss: 1.0, ..Impairment::NONE };
-        bench.cable.do_send(Impair { direction: Direction::Outgoing, impairment: lossy });
-        let slow = Impairment { delay: MS(20), ..Impairment::NONE };
-        bench.cable.do_send(Impair { direction: Direction::Incoming, impairment: slow });
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn each_direction_is_as_bad_as_told() {
+    let bench = Bench::new(1).await;
+    let lossy = Impairment { loss: 1.0, ..Impairment::NONE };
+    bench.cable.do_send(Impair { direction: Direction::Outgoing, impairment: lossy });
+    let slow = Impairment { delay: MS(20), ..Impairment::NONE };
+    bench.cable.do_send(Impair { direction: Direction::Incoming, impairment: slow });
 
-        bench.transmit(0..10);
-        bench.receive(0..10);
-        advance(MS(19)).await;
-        assert_eq!((bench.sent(), bench.received()), (vec![], vec![]));
+    bench.transmit(0..10);
+    bench.receive(0..10);
+    advance(MS(19)).await;
+    assert_eq!((bench.sent(), bench.received()), (vec![], vec![]));
 
-        advance(MS(1)).await;
-        assert_eq!((bench.sent(), bench.received()), (vec![], (0..10).collect()));
-        let InjectedFaults { outgoing, incoming } = bench.injected().await;
-        assert_eq!((outgoing.lost, incoming.delayed), (10, 10));
-    });
+    advance(MS(1)).await;
+    assert_eq!((bench.sent(), bench.received()), (vec![], (0..10).collect()));
+    let InjectedFaults { outgoing, incoming } = bench.injected().await;
+    assert_eq!((outgoing.lost, incoming.delayed), (10, 10));
 }
 
-#[test]
-fn a_silent_cut_says_nothing_and_a_mended_cable_passes_again() {
-    paused(async {
-        let bench = Bench::new(1).await;
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_silent_cut_says_nothing_and_a_mended_cable_passes_again() {
+    let bench = Bench::new(1).await;
 
-        bench.cable.do_send(Cut { direction: Direction::Both, reported: false });
-        bench.transmit(0..10);
-        bench.receive(0..10);
-        advance(Duration::from_secs(3600)).await;
-        assert_eq!((bench.sent(), bench.received()), (vec![], vec![]));
-        assert!(bench.reports.drain().is_empty());
+    bench.cable.do_send(Cut { direction: Direction::Both, reported: false });
+    bench.transmit(0..10);
+    bench.receive(0..10);
+    advance(Duration::from_secs(3600)).await;
+    assert_eq!((bench.sent(), bench.received()), (vec![], vec![]));
+    assert!(bench.reports.drain().is_empty());
 
-        bench.cable.do_send(Restore);
-        bench.transmit(10..20);
-        bench.receive(10..20);
-        advance(Duration::ZERO).await;
-        assert_eq!((bench.sent(), bench.received()), ((10..20).collect(), (10..20).collect()));
-        let InjectedFaults { outgoing, incoming } = bench.injected().await;
-        assert_eq!((outgoing.cut, incoming.cut), (10, 10));
-        assert!(bench.reports.drain().is_empty());
-    });
+    bench.cable.do_send(Restore);
+    bench.transmit(10..20);
+    bench.receive(10..20);
+    advance(Duration::ZERO).await;
+    assert_eq!((bench.sent(), bench.received()), ((10..20).collect(), (10..20).collect()));
+    let InjectedFaults { outgoing, incoming } = bench.injected().await;
+    assert_eq!((outgoing.cut, incoming.cut), (10, 10));
+    assert!(bench.reports.drain().is_empty());
 }
 
-#[test]
-fn a_cut_in_one_direction_leaves_the_other() {
-    paused(async {
-        let bench = Bench::new(1).await;
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_cut_in_one_direction_leaves_the_other() {
+    let bench = Bench::new(1).await;
 
-        bench.cable.do_send(Cut { direction: Direction::Incoming, reported: false });
-        bench.transmit(0..10);
-        bench.receive(0..10);
-        advance(MS(1)).await;
+    bench.cable.do_send(Cut { direction: Direction::Incoming, reported: false });
+    bench.transmit(0..10);
+    bench.receive(0..10);
+    advance(MS(1)).await;
 
-        assert_eq!((bench.sent(), bench.received()), ((0..10).collect(), vec![]));
-    });
+    assert_eq!((bench.sent(), bench.received()), ((0..10).collect(), vec![]));
 }
 
-#[test]
-fn a_cut_that_is_noticed_is_reported_and_so_is_its_end() {
-    paused(async {
-        let bench = Bench::new(1).await;
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_cut_that_is_noticed_is_reported_and_so_is_its_end() {
+    let bench = Bench::new(1).await;
 
-        bench.cable.do_send(Cut { direction: Direction::Both, reported: true });
-        assert!(matches!(bench.reports.expect().await, TransportReport::Closed { .. }));
-        // What the transport itself says meanwhile is what holds afterwards.
-        let closed = TransportReport::Closed { reason: "unplugged".into() };
-        bench.medium.report(closed.clone());
-        bench.reports.expect_none_for(MS(1)).await;
+    bench.cable.do_send(Cut { direction: Direction::Both, reported: true });
+    assert!(matches!(bench.reports.expect().await, TransportReport::Closed { .. }));
+    // What the transport itself says meanwhile is what holds afterwards.
+    let closed = TransportReport::Closed { reason: "unplugged".into() };
+    bench.medium.report(closed.clone());
+    bench.reports.expect_none_for(MS(1)).await;
 
-        bench.cable.do_send(Restore);
-        assert_eq!(bench.reports.expect().await, closed);
+    bench.cable.do_send(Restore);
+    assert_eq!(bench.reports.expect().await, closed);
 
-        // How much it carries is no state of its own.
-        let rate = TransportReport::Rate { bytes_per_second: 100 };
-        bench.medium.report(rate.clone());
-        assert_eq!(bench.reports.expect().await, rate);
-        bench.cable.do_send(Cut { direction: Direction::Both, reported: true });
-        bench.reports.expect().await;
-        bench.cable.do_send(Restore);
-        assert_eq!(bench.reports.expect().await, closed);
-    });
+    // How much it carries is no state of its own.
+    let rate = TransportReport::Rate { bytes_per_second: 100 };
+    bench.medium.report(rate.clone());
+    assert_eq!(bench.reports.expect().await, rate);
+    bench.cable.do_send(Cut { direction: Direction::Both, reported: true });
+    bench.reports.expect().await;
+    bench.cable.do_send(Restore);
+    assert_eq!(bench.reports.expect().await, closed);
 }
 
-#[test]
-fn frames_are_overtaken_and_spoilt_in_the_direction_that_is_told() {
-    paused(async {
-        let bench = Bench::new(1).await;
-        let restless = Impairment { reordering: 1.0, ..Impairment::NONE };
-        bench.cable.do_send(Impair { direction: Direction::Outgoing, impairment: restless });
-        let noisy = Impairment { corruption: 1.0, ..Impairment::NONE };
-        bench.cable.do_send(Impair { direction: Direction::Incoming, impairment: noisy });
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn frames_are_overtaken_and_spoilt_in_the_direction_that_is_told() {
+    let bench = Bench::new(1).await;
+    let restless = Impairment { reordering: 1.0, ..Impairment::NONE };
+    bench.cable.do_send(Impair { direction: Direction::Outgoing, impairment: restless });
+    let noisy = Impairment { corruption: 1.0, ..Impairment::NONE };
+    bench.cable.do_send(Impair { direction: Direction::Incoming, impairment: noisy });
 
-        bench.transmit(0..5);
-        bench.receive(0..1);
+    bench.transmit(0..5);
+    bench.receive(0..1);
+    advance(MS(9)).await;
+    assert_eq!(bench.sent(), [1, 0, 3, 2]);
+    assert_eq!(bench.received()[0].count_ones(), 1);
+
+    advance(MS(1)).await;
+    assert_eq!(bench.sent(), [4], "no frame has overtaken it");
+    let InjectedFaults { outgoing, incoming } = bench.injected().await;
+    assert_eq!((outgoing.reordered, incoming.corrupted), (3, 1));
+}
+
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_slow_cable_passes_so_many_bytes_a_second() {
+    let bench = Bench::new(1).await;
+    let slow = Impairment { rate: 100, ..Impairment::NONE };
+    bench.cable.do_send(Impair { direction: Direction::Outgoing, impairment: slow });
+
+    bench.transmit(0..10);
+    bench.receive(0..10);
+    for number in 0..10 {
         advance(MS(9)).await;
-        assert_eq!(bench.sent(), [1, 0, 3, 2]);
-        assert_eq!(bench.received()[0].count_ones(), 1);
-
+        assert_eq!(bench.sent().len(), 0);
         advance(MS(1)).await;
-        assert_eq!(bench.sent(), [4], "no frame has overtaken it");
-        let InjectedFaults { outgoing, incoming } = bench.injected().await;
-        assert_eq!((outgoing.reordered, incoming.corrupted), (3, 1));
-    });
+        assert_eq!(bench.sent(), [number]);
+    }
+    assert_eq!(bench.received(), (0..10).collect::<Vec<_>>());
 }
 
-#[test]
-fn a_slow_cable_passes_so_many_bytes_a_second() {
-    paused(async {
-        let bench = Bench::new(1).await;
-        let slow = Impairment { rate: 100, ..Impairment::NONE };
-        bench.cable.do_send(Impair { direction: Direction::Outgoing, impairment: slow });
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_partition_parts_from_some_peers_and_says_nothing() {
+    let bench = Bench::new(1).await;
+    let peer = |name: &str| MediumAddress::Memory(name.into());
+    let send = |to: &str, number: u8| {
+        let message = Transmit::new(peer(to), vec![number].into());
+        bench.cable.do_send(message);
+    };
+    let partition = |peers: &[&str]| Partition {
+        direction: Direction::Both,
+        peers: peers.iter().map(|name| peer(name)).collect(),
+    };
 
-        bench.transmit(0..10);
-        bench.receive(0..10);
-        for number in 0..10 {
-            advance(MS(9)).await;
-            assert_eq!(bench.sent().len(), 0);
-            advance(MS(1)).await;
-            assert_eq!(bench.sent(), [number]);
-        }
-        assert_eq!(bench.received(), (0..10).collect::<Vec<_>>());
-    });
+    bench.cable.do_send(partition(&["left", "right"]));
+    ["left", "middle", "right"].into_iter().zip(0..).for_each(|(to, n)| send(to, n));
+    for (from, number) in [("left", 0), ("middle", 1), ("right", 2)] {
+        bench.medium.receive(peer(from), vec![number]);
+    }
+    advance(MS(1)).await;
+    assert_eq!((bench.sent(), bench.received()), (vec![1], vec![1]));
+
+    bench.cable.do_send(partition(&["left"]));
+    send("left", 3);
+    send("right", 4);
+    advance(MS(1)).await;
+    assert_eq!(bench.sent(), [4]);
+
+    bench.cable.do_send(Restore);
+    send("left", 5);
+    advance(MS(1)).await;
+    assert_eq!(bench.sent(), [5]);
+    let InjectedFaults { outgoing, incoming } = bench.injected().await;
+    assert_eq!((outgoing.parted, incoming.parted), (3, 2));
+    assert!(bench.reports.drain().is_empty());
 }
 
-#[test]
-fn a_partition_parts_from_some_peers_and_says_nothing() {
-    paused(async {
-        let bench = Bench::new(1).await;
-        let peer = |name: &str| MediumAddress::Memory(name.into());
-        let send = |to: &str, number: u8| {
-            let message = Transmit::new(peer(to), vec![number].into());
-            bench.cable.do_send(message);
-        };
-        let partition = |peers: &[&str]| Partition {
-            direction: Direction::Both,
-            peers: peers.iter().map(|name| peer(name)).collect(),
-        };
-
-        bench.cable.do_send(partition(&["left", "right"]));
-        ["left", "middle", "right"].into_iter().zip(0..).for_each(|(to, n)| send(to, n));
-        for (from, number) in [("left", 0), ("middle", 1), ("right", 2)] {
-            bench.medium.receive(peer(from), vec![number]);
-        }
-        advance(MS(1)).await;
-        assert_eq!((bench.sent(), bench.received()), (vec![1], vec![1]));
-
-        bench.cable.do_send(partition(&["left"]));
-        send("left", 3);
-        send("right", 4);
-        advance(MS(1)).await;
-        assert_eq!(bench.sent(), [4]);
-
-        bench.cable.do_send(Restore);
-        send("left", 5);
-        advance(MS(1)).await;
-        assert_eq!(bench.sent(), [5]);
-        let InjectedFaults { outgoing, incoming } = bench.injected().await;
-        assert_eq!((outgoing.parted, incoming.parted), (3, 2));
-        assert!(bench.reports.drain().is_empty());
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_partition_from_a_peer_holds_for_connections_that_claim_to_be_its() {
+    let bench = Bench::new(1).await;
+    let connection = |number, name: &str| MediumAddress::Connection {
+        number,
+        claimed: MediumAddress::Memory(name.into()).into(),
+    };
+    bench.cable.do_send(Partition {
+        direction: Direction::Both,
+        peers: [MediumAddress::Memory("left".into())].into(),
     });
+
+    for (number, name) in [(1, "left"), (2, "right")] {
+        let address = connection(number.into(), name);
+        bench.cable.do_send(Transmit::new(address.clone(), vec![number].into()));
+        bench.medium.receive(address, vec![number]);
+    }
+    advance(MS(1)).await;
+
+    assert_eq!((bench.sent(), bench.received()), (vec![2], vec![2]));
+    assert_eq!(connection(2, "right").to_string(), "connection 2 of right");
 }
 
-#[test]
-fn a_partition_from_a_peer_holds_for_connections_that_claim_to_be_its() {
-    paused(async {
-        let bench = Bench::new(1).await;
-        let connection = |number, name: &str| MediumAddress::Connection {
-            number,
-            claimed: MediumAddress::Memory(name.into()).into(),
-        };
-        bench.cable.do_send(Partition {
-            direction: Direction::Both,
-            peers: [MediumAddress::Memory("left".into())].into(),
-        });
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn the_medium_is_told_which_connections_are_believed_and_which_are_adopted() {
+    let bench = Bench::new(1).await;
+    let (frames, reports) = (bench.frames.recipient(), bench.reports.recipient());
 
-        for (number, name) in [(1, "left"), (2, "right")] {
-            let address = connection(number.into(), name);
-            bench.cable.do_send(Transmit::new(address.clone(), vec![number].into()));
-            bench.medium.receive(address, vec![number]);
-        }
-        advance(MS(1)).await;
+    let connections = ConnectionTrust::Proven;
+    bench.cable.do_send(Attach { frames, reports, connections, clock: None });
+    let peer = MediumAddress::Memory("peer".into());
+    let connection = MediumAddress::Connection { number: 7, claimed: peer.clone().into() };
+    let adopt = Adopt { connection, peer };
+    bench.cable.do_send(adopt.clone());
 
-        assert_eq!((bench.sent(), bench.received()), (vec![2], vec![2]));
-        assert_eq!(connection(2, "right").to_string(), "connection 2 of right");
-    });
-}
-
-#[test]
-fn the_medium_is_told_which_connections_are_believed_and_which_are_adopted() {
-    paused(async {
-        let bench = Bench::new(1).await;
-        let (frames, reports) = (bench.frames.recipient(), bench.reports.recipient());
-
-        let connections = ConnectionTrust::Proven;
-        bench.cable.do_send(Attach { frames, reports, connections, clock: None });
-        let peer = MediumAddress::Memory("peer".into());
-        let connection = MediumAddress::Connection { number: 7, claimed: peer.clone().into() };
-        let adopt = Adopt { connection, peer };
-        bench.cable.do_send(adopt.clone());
-
-        assert_eq!(bench.medium.expect_adopted().await, adopt);
-        assert_eq!(bench.medium.connections().await, ConnectionTrust::Proven);
-    });
+    assert_eq!(bench.medium.expect_adopted().await, adopt);
+    assert_eq!(bench.medium.connections().await, ConnectionTrust::Proven);
 }
 
 #[test]

@@ -4,7 +4,7 @@ use actix::prelude::*;
 use blastema_contract::transport::{
     Attach, MediumAddress, ReadCounters, Received, Transmit, TransportCounters, TransportReport,
 };
-use blastema_doubles::{Probe, advance, paused};
+use blastema_doubles::{Probe, advance};
 use blastema_transports::FrameTransport;
 use blastema_transports::frame_medium::{
     FrameMedium, MediumEvent, OpenedMedium, QueueLimits, SendResult,
@@ -143,97 +143,86 @@ impl Bench {
     }
 }
 
-#[test]
-fn a_medium_that_does_not_open_is_tried_again_with_back_off_and_reported_once() {
-    paused(async {
-        let puppet = Puppet::default();
-        puppet.play().absent = 3;
-        let bench = Bench::new(puppet);
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_medium_that_does_not_open_is_tried_again_with_back_off_and_reported_once() {
+    let puppet = Puppet::default();
+    puppet.play().absent = 3;
+    let bench = Bench::new(puppet);
 
-        let reason = bench.closed().await;
-        assert_eq!(reason, "puppet cannot be opened (pull the strings); trying again");
-        // 20, 40 and 80 ms after each other.
-        advance(MS(139)).await;
-        assert_eq!(bench.puppet.play().opened, 0);
-        assert!(bench.reports.drain().is_empty());
-        advance(MS(1)).await;
-        bench.opened().await;
-    });
+    let reason = bench.closed().await;
+    assert_eq!(reason, "puppet cannot be opened (pull the strings); trying again");
+    // 20, 40 and 80 ms after each other.
+    advance(MS(139)).await;
+    assert_eq!(bench.puppet.play().opened, 0);
+    assert!(bench.reports.drain().is_empty());
+    advance(MS(1)).await;
+    bench.opened().await;
 }
 
-#[test]
-fn a_medium_that_breaks_is_closed_and_opened_again_without_what_waited() {
-    paused(async {
-        let bench = Bench::new(Puppet::default());
-        bench.opened().await;
-        bench.puppet.play().breaks = true;
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_medium_that_breaks_is_closed_and_opened_again_without_what_waited() {
+    let bench = Bench::new(Puppet::default());
+    bench.opened().await;
+    bench.puppet.play().breaks = true;
 
-        bench.send(b"one");
-        bench.send(b"two");
-        assert_eq!(bench.closed().await, "puppet is lost (a string tore); trying again");
-        advance(MS(20)).await;
-        bench.opened().await;
-        bench.send(b"three");
-        advance(MS(0)).await;
-        let TransportCounters { sent, dropped, errors, .. } = bench.counters().await;
+    bench.send(b"one");
+    bench.send(b"two");
+    assert_eq!(bench.closed().await, "puppet is lost (a string tore); trying again");
+    advance(MS(20)).await;
+    bench.opened().await;
+    bench.send(b"three");
+    advance(MS(0)).await;
+    let TransportCounters { sent, dropped, errors, .. } = bench.counters().await;
 
-        assert_eq!((sent, dropped, errors), (1, 2, 1));
-        assert_eq!(bench.puppet.play().sent, ["three"]);
-        let play = bench.puppet.play();
-        assert_eq!((play.opened, play.closed), (2, 1));
-    });
+    assert_eq!((sent, dropped, errors), (1, 2, 1));
+    assert_eq!(bench.puppet.play().sent, ["three"]);
+    let play = bench.puppet.play();
+    assert_eq!((play.opened, play.closed), (2, 1));
 }
 
-#[test]
-fn what_waits_for_a_medium_is_bounded_in_frames_and_bytes_and_goes_out_in_order() {
-    paused(async {
-        let bench = Bench::new(Puppet::default());
-        bench.opened().await;
-        bench.puppet.play().stuck = true;
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn what_waits_for_a_medium_is_bounded_in_frames_and_bytes_and_goes_out_in_order() {
+    let bench = Bench::new(Puppet::default());
+    bench.opened().await;
+    bench.puppet.play().stuck = true;
 
-        ["a", "b", "c", "d", "e"].iter().for_each(|frame| bench.send(frame.as_bytes()));
-        assert_eq!(bench.counters().await.dropped, 2);
-        bench.puppet.play().stuck = false;
-        bench.puppet.wake();
-        advance(MS(0)).await;
-        assert_eq!(bench.puppet.play().sent, ["a", "b", "c"]);
+    ["a", "b", "c", "d", "e"].iter().for_each(|frame| bench.send(frame.as_bytes()));
+    assert_eq!(bench.counters().await.dropped, 2);
+    bench.puppet.play().stuck = false;
+    bench.puppet.wake();
+    advance(MS(0)).await;
+    assert_eq!(bench.puppet.play().sent, ["a", "b", "c"]);
 
-        bench.puppet.play().stuck = true;
-        bench.send(&[7; 60]);
-        bench.send(&[8; 41]);
-        bench.send(&[9; 40]);
-        bench.send(&[0; 61]);
-        let TransportCounters { dropped, refused, .. } = bench.counters().await;
-        assert_eq!(
-            (dropped, refused),
-            (3, 1),
-            "101 bytes are too many, and 61 no frame of this medium"
-        );
-    });
+    bench.puppet.play().stuck = true;
+    bench.send(&[7; 60]);
+    bench.send(&[8; 41]);
+    bench.send(&[9; 40]);
+    bench.send(&[0; 61]);
+    let TransportCounters { dropped, refused, .. } = bench.counters().await;
+    assert_eq!(
+        (dropped, refused),
+        (3, 1),
+        "101 bytes are too many, and 61 no frame of this medium"
+    );
 }
 
-#[test]
-fn what_arrives_is_handed_on_and_what_is_no_frame_is_counted() {
-    paused(async {
-        let bench = Bench::new(Puppet::default());
-        bench.opened().await;
-        let from = MediumAddress::Line;
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn what_arrives_is_handed_on_and_what_is_no_frame_is_counted() {
+    let bench = Bench::new(Puppet::default());
+    bench.opened().await;
+    let from = MediumAddress::Line;
 
-        bench.puppet.play().arrivals = [
-            MediumEvent::Refused,
-            MediumEvent::Frame { from: from.clone(), frame: "hello".into() },
-            MediumEvent::PeerLost { peer: from.clone() },
-            MediumEvent::Refused,
-        ]
-        .into();
-        bench.puppet.wake();
+    bench.puppet.play().arrivals = [
+        MediumEvent::Refused,
+        MediumEvent::Frame { from: from.clone(), frame: "hello".into() },
+        MediumEvent::PeerLost { peer: from.clone() },
+        MediumEvent::Refused,
+    ]
+    .into();
+    bench.puppet.wake();
 
-        assert_eq!(
-            bench.frames.expect().await,
-            Received { from: from.clone(), frame: "hello".into() }
-        );
-        assert_eq!(bench.reports.expect().await, TransportReport::PeerLost { peer: from });
-        let TransportCounters { received, refused, .. } = bench.counters().await;
-        assert_eq!((received, refused), (1, 2));
-    });
+    assert_eq!(bench.frames.expect().await, Received { from: from.clone(), frame: "hello".into() });
+    assert_eq!(bench.reports.expect().await, TransportReport::PeerLost { peer: from });
+    let TransportCounters { received, refused, .. } = bench.counters().await;
+    assert_eq!((received, refused), (1, 2));
 }

@@ -9,7 +9,7 @@ use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};
 use blastema_core::detection::RecoveryOutcome;
 use blastema_core::recovery::{Ladder, Plan, RecoveryDone, SupervisorRules};
 use blastema_core::{Fault, FaultId, FaultKind, FaultLocation, NodeName};
-use blastema_doubles::{Probe, paused, settle};
+use blastema_doubles::{Probe, settle};
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering::SeqCst;
@@ -121,123 +121,111 @@ impl RecoveryStrategy for Homing {
     }
 }
 
-#[test]
-fn what_nobody_keeps_puts_the_node_to_rest() {
-    paused(async {
-        let chain = Chain::built_in().await;
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn what_nobody_keeps_puts_the_node_to_rest() {
+    let chain = Chain::built_in().await;
 
-        chain.recover(fault(1, FaultKind::Panic, "router", 1)).await;
+    chain.recover(fault(1, FaultKind::Panic, "router", 1)).await;
 
-        let rest = chain.node.expect().await;
-        assert_eq!(rest.reason, "no supervisor keeps here:router");
-        assert_eq!(rest.fault.id, FaultId(1));
-        assert_eq!(chain.safe_outputs.load(SeqCst), 1);
-    });
+    let rest = chain.node.expect().await;
+    assert_eq!(rest.reason, "no supervisor keeps here:router");
+    assert_eq!(rest.fault.id, FaultId(1));
+    assert_eq!(chain.safe_outputs.load(SeqCst), 1);
 }
 
-#[test]
-fn a_lost_link_is_rerouted_and_a_lost_node_observed() {
-    paused(async {
-        let chain = Chain::built_in().await;
-        let here = NodeName::new("here").expect("a good name");
-        let link = FaultLocation::Link { node: here, link: "ethernet".into(), neighbour: None };
-        let there = FaultLocation::Node(NodeName::new("there").expect("a good name"));
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_lost_link_is_rerouted_and_a_lost_node_observed() {
+    let chain = Chain::built_in().await;
+    let here = NodeName::new("here").expect("a good name");
+    let link = FaultLocation::Link { node: here, link: "ethernet".into(), neighbour: None };
+    let there = FaultLocation::Node(NodeName::new("there").expect("a good name"));
 
-        let down = fault(1, FaultKind::LinkDown, "laser", 1);
-        chain.recover(Fault { location: link.clone(), ..down.clone() }).await;
-        assert_eq!(chain.reported_until("1 recovered").await, ["1 reroute", "1 recovered"]);
-        assert_eq!(chain.router.expect().await.location, link);
+    let down = fault(1, FaultKind::LinkDown, "laser", 1);
+    chain.recover(Fault { location: link.clone(), ..down.clone() }).await;
+    assert_eq!(chain.reported_until("1 recovered").await, ["1 reroute", "1 recovered"]);
+    assert_eq!(chain.router.expect().await.location, link);
 
-        let lost = Fault { kind: FaultKind::NodeLost, id: FaultId(2), ..down };
-        chain.recover(Fault { location: there, ..lost }).await;
-        assert_eq!(
-            chain.reported_until("2 observe").await,
-            ["2 reroute", "2 reroute failed: no other way leads there", "2 observe"]
-        );
-    });
+    let lost = Fault { kind: FaultKind::NodeLost, id: FaultId(2), ..down };
+    chain.recover(Fault { location: there, ..lost }).await;
+    assert_eq!(
+        chain.reported_until("2 observe").await,
+        ["2 reroute", "2 reroute failed: no other way leads there", "2 observe"]
+    );
 }
 
-#[test]
-fn a_faulty_node_is_isolated_and_where_that_cannot_be_it_is_observed() {
-    paused(async {
-        let chain = Chain::built_in().await;
-        let contained = "given up: contained by isolate; service is not restored";
-        for (id, node, last) in [(1, "there", contained), (2, "nowhere", "observe")] {
-            let location = FaultLocation::Node(NodeName::new(node).expect("a good name"));
-            let fault = Fault { location, ..fault(id, FaultKind::NodeFaulty, "laser", 1) };
-            chain.recover(fault).await;
-            let reported = chain.reported_until(&format!("{id} {last}")).await;
-            assert_eq!(reported[0], format!("{id} isolate"), "{reported:?}");
-        }
-    });
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_faulty_node_is_isolated_and_where_that_cannot_be_it_is_observed() {
+    let chain = Chain::built_in().await;
+    let contained = "given up: contained by isolate; service is not restored";
+    for (id, node, last) in [(1, "there", contained), (2, "nowhere", "observe")] {
+        let location = FaultLocation::Node(NodeName::new(node).expect("a good name"));
+        let fault = Fault { location, ..fault(id, FaultKind::NodeFaulty, "laser", 1) };
+        chain.recover(fault).await;
+        let reported = chain.reported_until(&format!("{id} {last}")).await;
+        assert_eq!(reported[0], format!("{id} isolate"), "{reported:?}");
+    }
 }
 
-#[test]
-fn a_strategy_of_the_application_is_made_once_and_only_when_needed() {
-    paused(async {
-        let made = Arc::new(AtomicUsize::new(0));
-        let mut strategies = StrategyTable::default();
-        let counter = made.clone();
-        strategies.hand_over("homing", move || {
-            counter.fetch_add(1, SeqCst);
-            Homing { made: counter.clone() }
-        });
-        assert_eq!(strategies.names().collect::<Vec<_>>(), ["homing"]);
-        let ladder = Ladder::first(RecoveryAction::Custom("homing".into()))
-            .times(4)
-            .within(Duration::from_secs(1));
-        let plan = Plan::default().on(FaultKind::CheckFailed, ladder);
-        let chain = Chain::new(plan, strategies).await;
-        assert_eq!(made.load(SeqCst), 0);
-
-        chain.recover(fault(1, FaultKind::CheckFailed, "arm", 1)).await;
-
-        let reported = chain.reported_until("1 recovered").await;
-        assert_eq!(reported.len(), 8, "{reported:?}");
-        assert!(
-            reported[1].contains("panicked") && reported[1].contains("the gripper is open"),
-            "{reported:?}"
-        );
-        assert!(reported[5].ends_with("failed: still not there"), "{reported:?}");
-        assert_eq!(chain.bench.script.done(), ["reset arm"]);
-        assert_eq!(made.load(SeqCst), 1);
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_strategy_of_the_application_is_made_once_and_only_when_needed() {
+    let made = Arc::new(AtomicUsize::new(0));
+    let mut strategies = StrategyTable::default();
+    let counter = made.clone();
+    strategies.hand_over("homing", move || {
+        counter.fetch_add(1, SeqCst);
+        Homing { made: counter.clone() }
     });
+    assert_eq!(strategies.names().collect::<Vec<_>>(), ["homing"]);
+    let ladder = Ladder::first(RecoveryAction::Custom("homing".into()))
+        .times(4)
+        .within(Duration::from_secs(1));
+    let plan = Plan::default().on(FaultKind::CheckFailed, ladder);
+    let chain = Chain::new(plan, strategies).await;
+    assert_eq!(made.load(SeqCst), 0);
+
+    chain.recover(fault(1, FaultKind::CheckFailed, "arm", 1)).await;
+
+    let reported = chain.reported_until("1 recovered").await;
+    assert_eq!(reported.len(), 8, "{reported:?}");
+    assert!(
+        reported[1].contains("panicked") && reported[1].contains("the gripper is open"),
+        "{reported:?}"
+    );
+    assert!(reported[5].ends_with("failed: still not there"), "{reported:?}");
+    assert_eq!(chain.bench.script.done(), ["reset arm"]);
+    assert_eq!(made.load(SeqCst), 1);
 }
 
-#[test]
-fn a_strategy_that_cannot_even_be_made_has_failed() {
-    paused(async {
-        let mut strategies = StrategyTable::default();
-        strategies.hand_over("homing", || -> Homing { panic!("no such gripper") });
-        let plan = Plan::default()
-            .on(FaultKind::CheckFailed, Ladder::first(RecoveryAction::Custom("homing".into())));
-        let chain = Chain::new(plan, strategies).await;
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_strategy_that_cannot_even_be_made_has_failed() {
+    let mut strategies = StrategyTable::default();
+    strategies.hand_over("homing", || -> Homing { panic!("no such gripper") });
+    let plan = Plan::default()
+        .on(FaultKind::CheckFailed, Ladder::first(RecoveryAction::Custom("homing".into())));
+    let chain = Chain::new(plan, strategies).await;
 
-        chain.recover(fault(1, FaultKind::CheckFailed, "arm", 1)).await;
+    chain.recover(fault(1, FaultKind::CheckFailed, "arm", 1)).await;
 
-        chain.outcomes.expect().await;
-        let RecoveryOutcome::GaveUp { reason } = chain.outcomes.expect().await.what else {
-            panic!("it was not given up");
-        };
-        assert!(reason.contains("no such gripper"), "{reason}");
-        settle().await;
-        assert_eq!(chain.bench.script.done(), ["isolate arm", "stop arm"]);
-        assert_eq!(chain.bench.deaths.recorded(), 0);
-    });
+    chain.outcomes.expect().await;
+    let RecoveryOutcome::GaveUp { reason } = chain.outcomes.expect().await.what else {
+        panic!("it was not given up");
+    };
+    assert!(reason.contains("no such gripper"), "{reason}");
+    settle().await;
+    assert_eq!(chain.bench.script.done(), ["isolate arm", "stop arm"]);
+    assert_eq!(chain.bench.deaths.recorded(), 0);
 }
 
-#[test]
-fn a_repeated_hand_over_is_confirmed_and_carried_out_once() {
-    paused(async {
-        let chain = Chain::built_in().await;
-        chain.bench.script.answer("start laser", &[ScriptedReply::Hangs]);
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_repeated_hand_over_is_confirmed_and_carried_out_once() {
+    let chain = Chain::built_in().await;
+    chain.bench.script.answer("start laser", &[ScriptedReply::Hangs]);
 
-        chain.recover(fault(1, FaultKind::Panic, "laser", 1)).await;
-        chain.recover(fault(1, FaultKind::Panic, "laser", 1)).await;
-        settle().await;
+    chain.recover(fault(1, FaultKind::Panic, "laser", 1)).await;
+    chain.recover(fault(1, FaultKind::Panic, "laser", 1)).await;
+    settle().await;
 
-        assert_eq!(chain.bench.script.done(), ["start laser"]);
-    });
+    assert_eq!(chain.bench.script.done(), ["start laser"]);
 }
 
 #[derive(Message)]
@@ -252,24 +240,22 @@ impl Handler<Poison> for RecovererActor {
     }
 }
 
-#[test]
-fn a_recoverer_that_panics_takes_up_again_what_was_open() {
-    paused(async {
-        let chain = Chain::built_in().await;
-        chain.bench.script.answer("start laser", &[ScriptedReply::Hangs]);
-        chain.recover(fault(1, FaultKind::Panic, "laser", 1)).await;
-        settle().await;
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_recoverer_that_panics_takes_up_again_what_was_open() {
+    let chain = Chain::built_in().await;
+    chain.bench.script.answer("start laser", &[ScriptedReply::Hangs]);
+    chain.recover(fault(1, FaultKind::Panic, "laser", 1)).await;
+    settle().await;
 
-        chain.recoverer.do_send(Poison);
+    chain.recoverer.do_send(Poison);
 
-        let overdue =
-            "1 restart failed: laser: its next incarnation did not start: not at work within 5s";
-        let reported = chain.reported_until("1 recovered").await;
-        assert_eq!(
-            reported,
-            ["1 restart", "1 restart", overdue, "1 restart, attempt 2", "1 recovered"]
-        );
-        assert!(chain.bench.deaths.expect().await.restarted_as.is_some());
-        drop(chain.root);
-    });
+    let overdue =
+        "1 restart failed: laser: its next incarnation did not start: not at work within 5s";
+    let reported = chain.reported_until("1 recovered").await;
+    assert_eq!(
+        reported,
+        ["1 restart", "1 restart", overdue, "1 restart, attempt 2", "1 recovered"]
+    );
+    assert!(chain.bench.deaths.expect().await.restarted_as.is_some());
+    drop(chain.root);
 }

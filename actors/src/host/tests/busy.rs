@@ -101,26 +101,22 @@ fn longest(steps: &Steps) -> usize {
 mod real {
     use super::*;
 
-    #[test]
-    fn between_two_rounds_of_its_neighbour_a_busy_component_serves_one_message() {
-        let _turn = blastema_doubles::turn();
-        actix_rt::System::new().block_on(async {
-            let stage = Stage::on(ArbiterPool::pool(1));
-            let steps = Steps::default();
-            let (_safety, _) = stage.start(safety(&steps)).await;
-            let (_busy, busy) = stage.start(busy("busy", &steps)).await;
-            (0..40).for_each(|_| busy.tell(Load).unwrap());
+    #[blastema_macros::test(crate = "blastema_doubles::real")]
+    async fn between_two_rounds_of_its_neighbour_a_busy_component_serves_one_message() {
+        let stage = Stage::on(ArbiterPool::pool(1));
+        let steps = Steps::default();
+        let (_safety, _) = stage.start(safety(&steps)).await;
+        let (_busy, busy) = stage.start(busy("busy", &steps)).await;
+        (0..40).for_each(|_| busy.tell(Load).unwrap());
 
-            worked(&steps, 30).await;
+        worked(&steps, 30).await;
 
-            assert!(longest(&steps) <= 1, "{steps:?}");
-            stage.environment.arbiters.stop();
-        });
+        assert!(longest(&steps) <= 1, "{steps:?}");
+        stage.environment.arbiters.stop();
     }
 
-    #[test]
-    fn two_that_send_to_each_other_leave_their_neighbour_its_rounds() {
-        let _turn = blastema_doubles::turn();
+    #[blastema_macros::test(crate = "blastema_doubles::real")]
+    async fn two_that_send_to_each_other_leave_their_neighbour_its_rounds() {
         struct Player {
             steps: Steps,
             to: &'static str,
@@ -137,88 +133,76 @@ mod real {
                 let _ = cx.sender::<Load>(self.to).map(|to| to.tell(Load));
             }
         }
-        actix_rt::System::new().block_on(async {
-            let stage = Stage::on(ArbiterPool::pool(1));
-            let steps = Steps::default();
-            let player = |name, to| {
-                let steps = steps.clone();
-                ChildSpec::new(name, move || Player { steps: steps.clone(), to })
-            };
-            let (_safety, _) = stage.start(safety(&steps)).await;
-            let (_ping, ping) = stage.start(player("ping", "pong")).await;
-            let (_pong, _) = stage.start(player("pong", "ping")).await;
-            ping.tell(Load).unwrap();
+        let stage = Stage::on(ArbiterPool::pool(1));
+        let steps = Steps::default();
+        let player = |name, to| {
+            let steps = steps.clone();
+            ChildSpec::new(name, move || Player { steps: steps.clone(), to })
+        };
+        let (_safety, _) = stage.start(safety(&steps)).await;
+        let (_ping, ping) = stage.start(player("ping", "pong")).await;
+        let (_pong, _) = stage.start(player("pong", "ping")).await;
+        ping.tell(Load).unwrap();
 
-            worked(&steps, 30).await;
+        worked(&steps, 30).await;
 
-            assert!(longest(&steps) <= 2, "one of each: {steps:?}");
-            stage.environment.arbiters.stop();
-        });
+        assert!(longest(&steps) <= 2, "one of each: {steps:?}");
+        stage.environment.arbiters.stop();
     }
 
-    #[test]
-    fn listeners_serve_one_event_each_between_rounds_of_a_neighbour() {
-        let _turn = blastema_doubles::turn();
-        actix_rt::System::new().block_on(async {
-            let stage = Stage::on(ArbiterPool::pool(1));
-            let steps = Steps::default();
-            let (_safety, _) = stage.start(safety(&steps)).await;
-            let (_one, _) = stage.start(busy("one", &steps)).await;
-            let (_two, _) = stage.start(busy("two", &steps)).await;
-            let publisher =
-                stage.environment.feature::<Topics>().publisher::<Load>(Load::NAME).unwrap();
-            (0..16).for_each(|_| publisher.publish(Load).unwrap());
+    #[blastema_macros::test(crate = "blastema_doubles::real")]
+    async fn listeners_serve_one_event_each_between_rounds_of_a_neighbour() {
+        let stage = Stage::on(ArbiterPool::pool(1));
+        let steps = Steps::default();
+        let (_safety, _) = stage.start(safety(&steps)).await;
+        let (_one, _) = stage.start(busy("one", &steps)).await;
+        let (_two, _) = stage.start(busy("two", &steps)).await;
+        let publisher =
+            stage.environment.feature::<Topics>().publisher::<Load>(Load::NAME).unwrap();
+        (0..16).for_each(|_| publisher.publish(Load).unwrap());
 
-            worked(&steps, 32).await;
+        worked(&steps, 32).await;
 
-            assert!(longest(&steps) <= 2, "{steps:?}");
-            stage.environment.arbiters.stop();
-        });
+        assert!(longest(&steps) <= 2, "{steps:?}");
+        stage.environment.arbiters.stop();
     }
 
-    #[test]
-    fn between_two_rounds_of_its_neighbour_one_task_of_a_component_runs() {
-        let _turn = blastema_doubles::turn();
-        actix_rt::System::new().block_on(async {
-            let stage = Stage::on(ArbiterPool::pool(1));
-            let steps = Steps::default();
-            let (_safety, _) = stage.start(safety(&steps)).await;
-            let kept = steps.clone();
-            let spec = ChildSpec::new("tasked", move || Tasked(kept.clone()));
-            let (mut tasked, _) = stage.start(spec).await;
+    #[blastema_macros::test(crate = "blastema_doubles::real")]
+    async fn between_two_rounds_of_its_neighbour_one_task_of_a_component_runs() {
+        let stage = Stage::on(ArbiterPool::pool(1));
+        let steps = Steps::default();
+        let (_safety, _) = stage.start(safety(&steps)).await;
+        let kept = steps.clone();
+        let spec = ChildSpec::new("tasked", move || Tasked(kept.clone()));
+        let (mut tasked, _) = stage.start(spec).await;
 
-            worked(&steps, 30).await;
+        worked(&steps, 30).await;
 
-            assert!(longest(&steps) <= 1, "{steps:?}");
-            tasked.order(ChildOrder::Stop { again: false });
-            stage.reports.wait(|report| report.event == ChildEvent::Stopped).await;
-            stage.environment.arbiters.stop();
-        });
+        assert!(longest(&steps) <= 1, "{steps:?}");
+        tasked.order(ChildOrder::Stop { again: false });
+        stage.reports.wait(|report| report.event == ChildEvent::Stopped).await;
+        stage.environment.arbiters.stop();
     }
 
-    #[test]
-    fn a_busy_component_stops_after_one_further_handler() {
-        let _turn = blastema_doubles::turn();
-        actix_rt::System::new().block_on(async {
-            let stage = Stage::on(ArbiterPool::pool(1));
-            let steps = Steps::default();
-            let (mut child, busy) = stage.start(busy("busy", &steps)).await;
-            (0..60).for_each(|_| busy.tell(Load).unwrap());
-            worked(&steps, 5).await;
+    #[blastema_macros::test(crate = "blastema_doubles::real")]
+    async fn a_busy_component_stops_after_one_further_handler() {
+        let stage = Stage::on(ArbiterPool::pool(1));
+        let steps = Steps::default();
+        let (mut child, busy) = stage.start(busy("busy", &steps)).await;
+        (0..60).for_each(|_| busy.tell(Load).unwrap());
+        worked(&steps, 5).await;
 
-            let before = steps.lock().unwrap().len();
-            child.order(ChildOrder::Stop { again: false });
-            stage.reports.wait(|report| report.event == ChildEvent::Stopped).await;
+        let before = steps.lock().unwrap().len();
+        child.order(ChildOrder::Stop { again: false });
+        stage.reports.wait(|report| report.event == ChildEvent::Stopped).await;
 
-            let after = steps.lock().unwrap().len();
-            assert!(after - before <= 2, "the one in service, and one more: {before}, {after}");
-            stage.environment.arbiters.stop();
-        });
+        let after = steps.lock().unwrap().len();
+        assert!(after - before <= 2, "the one in service, and one more: {before}, {after}");
+        stage.environment.arbiters.stop();
     }
 
-    #[test]
-    fn a_component_whose_rounds_and_tasks_take_all_the_time_still_serves_messages() {
-        let _turn = blastema_doubles::turn();
+    #[blastema_macros::test(crate = "blastema_doubles::real")]
+    async fn a_component_whose_rounds_and_tasks_take_all_the_time_still_serves_messages() {
         struct Both(Steps, Log);
         impl Component for Both {
             fn ports(ports: &mut Ports<Self>) {
@@ -246,20 +230,17 @@ mod real {
                 self.1.lock().unwrap().push(1);
             }
         }
-        actix_rt::System::new().block_on(async {
-            let stage = Stage::on(ArbiterPool::pool(1));
-            let (steps, served) = (Steps::default(), Log::default());
-            let (kept, log) = (steps.clone(), served.clone());
-            let spec =
-                ChildSpec::new("both", move || Both(kept.clone(), log.clone())).rate_hz(200.0);
-            let (_both, both) = stage.start(spec).await;
-            (0..5).for_each(|_| both.tell(Load).unwrap());
+        let stage = Stage::on(ArbiterPool::pool(1));
+        let (steps, served) = (Steps::default(), Log::default());
+        let (kept, log) = (steps.clone(), served.clone());
+        let spec = ChildSpec::new("both", move || Both(kept.clone(), log.clone())).rate_hz(200.0);
+        let (_both, both) = stage.start(spec).await;
+        (0..5).for_each(|_| both.tell(Load).unwrap());
 
-            worked(&steps, 15).await;
+        worked(&steps, 15).await;
 
-            assert_eq!(logged(&served), [1; 5]);
-            assert!(steps.lock().unwrap().contains(&Step::Round));
-            stage.environment.arbiters.stop();
-        });
+        assert_eq!(logged(&served), [1; 5]);
+        assert!(steps.lock().unwrap().contains(&Step::Round));
+        stage.environment.arbiters.stop();
     }
 }

@@ -7,7 +7,7 @@ use crate::{
     ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Ports, Request, Sender,
 };
 use blastema_core::Instant;
-use blastema_doubles::{advance, paused, settle};
+use blastema_doubles::{advance, settle};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -131,66 +131,56 @@ async fn kit() -> Kit {
     Kit { stage, _child: child, worker, log, detached }
 }
 
-#[test]
-fn timers_fire_while_the_component_is_active_and_can_be_cancelled() {
-    paused(async {
-        let kit = kit().await;
-        for (job, expected) in [
-            (Job::EveryAndCancel, vec![1, 1]),
-            (Job::After, vec![3, 2]),
-            (Job::TellEvery, vec![2; 10]),
-        ] {
-            kit.worker.tell(job).unwrap();
-            advance(Duration::from_millis(104)).await;
-            assert_eq!(logged(&kit.log), expected);
-        }
-    });
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn timers_fire_while_the_component_is_active_and_can_be_cancelled() {
+    let kit = kit().await;
+    for (job, expected) in
+        [(Job::EveryAndCancel, vec![1, 1]), (Job::After, vec![3, 2]), (Job::TellEvery, vec![2; 10])]
+    {
+        kit.worker.tell(job).unwrap();
+        advance(Duration::from_millis(104)).await;
+        assert_eq!(logged(&kit.log), expected);
+    }
 }
 
-#[test]
-fn ticks_that_were_missed_are_skipped() {
-    paused(async {
-        let kit = kit().await;
-        kit.worker.tell(Job::Every).unwrap();
-        settle().await;
-        kit.worker.tell(Job::Wait(1000)).unwrap();
-        advance(Duration::from_millis(1004)).await;
-        assert!(logged(&kit.log).len() <= 2, "one that was due, and the next");
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn ticks_that_were_missed_are_skipped() {
+    let kit = kit().await;
+    kit.worker.tell(Job::Every).unwrap();
+    settle().await;
+    kit.worker.tell(Job::Wait(1000)).unwrap();
+    advance(Duration::from_millis(1004)).await;
+    assert!(logged(&kit.log).len() <= 2, "one that was due, and the next");
 
-        kit.worker.tell(Job::Block(1000)).unwrap();
-        settle().await;
-        assert!(logged(&kit.log).len() <= 2, "one that was due, and the next");
-    });
+    kit.worker.tell(Job::Block(1000)).unwrap();
+    settle().await;
+    assert!(logged(&kit.log).len() <= 2, "one that was due, and the next");
 }
 
-#[test]
-fn timers_and_tasks_end_with_the_incarnation_that_started_them() {
-    paused(async {
-        let kit = kit().await;
-        kit.worker.tell(Job::Every).unwrap();
-        kit.worker.tell(Job::TellEvery).unwrap();
-        kit.worker.tell(Job::Task).unwrap();
-        advance(Duration::from_millis(25)).await;
-        let mut ran = logged(&kit.log);
-        ran.sort_unstable();
-        assert_eq!(ran, [1, 1, 2, 2, 4, 4]);
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn timers_and_tasks_end_with_the_incarnation_that_started_them() {
+    let kit = kit().await;
+    kit.worker.tell(Job::Every).unwrap();
+    kit.worker.tell(Job::TellEvery).unwrap();
+    kit.worker.tell(Job::Task).unwrap();
+    advance(Duration::from_millis(25)).await;
+    let mut ran = logged(&kit.log);
+    ran.sort_unstable();
+    assert_eq!(ran, [1, 1, 2, 2, 4, 4]);
 
-        kit.worker.tell(Job::Die).unwrap();
-        advance(Duration::from_secs(1)).await;
+    kit.worker.tell(Job::Die).unwrap();
+    advance(Duration::from_secs(1)).await;
 
-        assert_eq!(logged(&kit.log), [0; 0]);
-        assert_eq!(kit.stage.exits.drain().len(), 1);
-    });
+    assert_eq!(logged(&kit.log), [0; 0]);
+    assert_eq!(kit.stage.exits.drain().len(), 1);
 }
 
-#[test]
-fn a_handler_may_wait_for_a_task_that_it_started() {
-    paused(async {
-        let kit = kit().await;
-        kit.worker.tell(Job::TaskWhileWaiting).unwrap();
-        advance(Duration::from_millis(20)).await;
-        assert_eq!(logged(&kit.log), [5]);
-    });
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_handler_may_wait_for_a_task_that_it_started() {
+    let kit = kit().await;
+    kit.worker.tell(Job::TaskWhileWaiting).unwrap();
+    advance(Duration::from_millis(20)).await;
+    assert_eq!(logged(&kit.log), [5]);
 }
 
 struct Ear(Log);
@@ -205,26 +195,24 @@ impl Handle<Said> for Ear {
     }
 }
 
-#[test]
-fn a_detached_sender_ends_with_the_incarnation_that_made_it() {
-    paused(async {
-        let kit = kit().await;
-        let received = Log::default();
-        let kept = received.clone();
-        let (_ear, _) = kit.stage.start(ChildSpec::new("ear", move || Ear(kept.clone()))).await;
-        kit.worker.tell(Job::Detach).unwrap();
-        settle().await;
-        let sender = kit.detached.lock().unwrap().take().unwrap();
-        std::thread::scope(|scope| scope.spawn(|| sender.tell(Said(1))).join().unwrap().unwrap());
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_detached_sender_ends_with_the_incarnation_that_made_it() {
+    let kit = kit().await;
+    let received = Log::default();
+    let kept = received.clone();
+    let (_ear, _) = kit.stage.start(ChildSpec::new("ear", move || Ear(kept.clone()))).await;
+    kit.worker.tell(Job::Detach).unwrap();
+    settle().await;
+    let sender = kit.detached.lock().unwrap().take().unwrap();
+    std::thread::scope(|scope| scope.spawn(|| sender.tell(Said(1))).join().unwrap().unwrap());
 
-        kit.worker.tell(Job::Die).unwrap();
-        settle().await;
+    kit.worker.tell(Job::Die).unwrap();
+    settle().await;
 
-        let refused = sender.tell(Said(2)).unwrap_err();
-        assert_eq!((refused.kind, refused.message), (DeliveryError::Fenced, Said(2)));
-        assert_eq!(sender.ask(Said(3)).await.unwrap_err().kind, DeliveryError::Fenced);
-        assert_eq!(logged(&received), [1]);
-    });
+    let refused = sender.tell(Said(2)).unwrap_err();
+    assert_eq!((refused.kind, refused.message), (DeliveryError::Fenced, Said(2)));
+    assert_eq!(sender.ask(Said(3)).await.unwrap_err().kind, DeliveryError::Fenced);
+    assert_eq!(logged(&received), [1]);
 }
 
 /// Sets its interval in each round.
@@ -242,25 +230,23 @@ impl Component for Setter {
     }
 }
 
-#[test]
-fn an_interval_that_is_set_in_each_round_keeps_its_rate() {
-    paused(async {
-        let stage = Stage::new();
-        let alternating = |round| Duration::from_millis(if round % 2 == 0 { 50 } else { 150 });
-        for (name, interval) in
-            [("same", (|_| 10 * TICK) as fn(u64) -> Duration), ("other", alternating)]
-        {
-            let log = Log::default();
-            let kept = log.clone();
-            let make = move || Setter { log: kept.clone(), interval };
-            let (_child, _) = stage.start(ChildSpec::new(name, make).rate_hz(10.0)).await;
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn an_interval_that_is_set_in_each_round_keeps_its_rate() {
+    let stage = Stage::new();
+    let alternating = |round| Duration::from_millis(if round % 2 == 0 { 50 } else { 150 });
+    for (name, interval) in
+        [("same", (|_| 10 * TICK) as fn(u64) -> Duration), ("other", alternating)]
+    {
+        let log = Log::default();
+        let kept = log.clone();
+        let make = move || Setter { log: kept.clone(), interval };
+        let (_child, _) = stage.start(ChildSpec::new(name, make).rate_hz(10.0)).await;
 
-            advance(Duration::from_secs(10)).await;
+        advance(Duration::from_secs(10)).await;
 
-            let rounds = logged(&log).len();
-            assert!((99..=101).contains(&rounds), "{name}: {rounds} rounds in 10 s at 10 Hz");
-        }
-    });
+        let rounds = logged(&log).len();
+        assert!((99..=101).contains(&rounds), "{name}: {rounds} rounds in 10 s at 10 Hz");
+    }
 }
 
 /// Has rounds that take so many milliseconds each, as long as there are any, and logs when they
@@ -282,23 +268,20 @@ impl Component for Overrunner {
     }
 }
 
-#[test]
-fn a_round_that_overruns_misses_rounds_and_the_next_ones_are_whole_periods_after_the_start() {
-    paused(async {
-        let stage = Stage::new();
-        let log = Log::default();
-        let kept = log.clone();
-        let make = move || Overrunner { log: kept.clone(), first: None, spans: vec![250, 0, 0] };
-        let (_child, reference) =
-            stage.start(ChildSpec::new("overrunner", make).rate_hz(10.0)).await;
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_round_that_overruns_misses_rounds_and_the_next_ones_are_whole_periods_after_the_start() {
+    let stage = Stage::new();
+    let log = Log::default();
+    let kept = log.clone();
+    let make = move || Overrunner { log: kept.clone(), first: None, spans: vec![250, 0, 0] };
+    let (_child, reference) = stage.start(ChildSpec::new("overrunner", make).rate_hz(10.0)).await;
 
-        advance(Duration::from_millis(750)).await;
+    advance(Duration::from_millis(750)).await;
 
-        // The round of 300 ms is missed, that of 400 ms begins 50 ms late.
-        assert_eq!(logged(&log), [0, 100, 200, 450, 500, 600, 700]);
-        let late = reference.0.round_lateness().expect("it has had rounds");
-        assert_eq!((late.p50, late.max), (Duration::ZERO, Duration::from_millis(50)));
-    });
+    // The round of 300 ms is missed, that of 400 ms begins 50 ms late.
+    assert_eq!(logged(&log), [0, 100, 200, 450, 500, 600, 700]);
+    let late = reference.0.round_lateness().expect("it has had rounds");
+    assert_eq!((late.p50, late.max), (Duration::ZERO, Duration::from_millis(50)));
 }
 
 /// Sets so many timers, and cancels them if it is told to.
@@ -336,33 +319,31 @@ fn keeper(held: &Arc<()>) -> ChildSpec<Keeper> {
     ChildSpec::new("keeper", move || Keeper(held.clone()))
 }
 
-#[test]
-fn timers_are_bounded_and_those_that_were_cancelled_hold_nothing() {
-    paused(async {
-        let (stage, held) = (Stage::new(), Arc::new(()));
-        let (_child, keeper) = stage.start(keeper(&held)).await;
-        let idle = Arc::strong_count(&held);
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn timers_are_bounded_and_those_that_were_cancelled_hold_nothing() {
+    let (stage, held) = (Stage::new(), Arc::new(()));
+    let (_child, keeper) = stage.start(keeper(&held)).await;
+    let idle = Arc::strong_count(&held);
 
-        for _ in 0..3 {
-            keeper.tell(Timers { count: 1024, cancel: true }).unwrap();
-            settle().await;
-            assert_eq!(Arc::strong_count(&held), idle, "nothing is kept until it would fire");
-        }
-        keeper.tell(Timers { count: 1024, cancel: false }).unwrap();
+    for _ in 0..3 {
+        keeper.tell(Timers { count: 1024, cancel: true }).unwrap();
         settle().await;
-        assert_eq!(Arc::strong_count(&held), idle + 1024);
-        assert_eq!(stage.exits.drain(), []);
+        assert_eq!(Arc::strong_count(&held), idle, "nothing is kept until it would fire");
+    }
+    keeper.tell(Timers { count: 1024, cancel: false }).unwrap();
+    settle().await;
+    assert_eq!(Arc::strong_count(&held), idle + 1024);
+    assert_eq!(stage.exits.drain(), []);
 
-        keeper.tell(Timers { count: 1, cancel: false }).unwrap();
-        settle().await;
-        let exits = stage.exits.drain();
-        assert!(
-            matches!(&exits[..], [exited] if format!("{:?}", exited.exit).contains("1024 timers")),
-            "{exits:?}"
-        );
-        let end = format!("{:?}", exits[0].exit);
-        assert!(end.contains("chores.rs"), "where it was set one too many: {end}");
-    });
+    keeper.tell(Timers { count: 1, cancel: false }).unwrap();
+    settle().await;
+    let exits = stage.exits.drain();
+    assert!(
+        matches!(&exits[..], [exited] if format!("{:?}", exited.exit).contains("1024 timers")),
+        "{exits:?}"
+    );
+    let end = format!("{:?}", exits[0].exit);
+    assert!(end.contains("chores.rs"), "where it was set one too many: {end}");
 }
 
 /// Sets a timer and cancels it, as often as that; says how many closures were held at most.
@@ -385,17 +366,15 @@ impl Handle<Churn> for Keeper {
     }
 }
 
-#[test]
-fn a_timer_cancelled_in_the_handler_that_set_it_holds_nothing() {
-    paused(async {
-        let (stage, held) = (Stage::new(), Arc::new(()));
-        let (_child, keeper) = stage.start(keeper(&held)).await;
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_timer_cancelled_in_the_handler_that_set_it_holds_nothing() {
+    let (stage, held) = (Stage::new(), Arc::new(()));
+    let (_child, keeper) = stage.start(keeper(&held)).await;
 
-        for _ in 0..2 {
-            assert_eq!(keeper.ask(Churn(100_000)).await.unwrap(), 1);
-        }
+    for _ in 0..2 {
+        assert_eq!(keeper.ask(Churn(100_000)).await.unwrap(), 1);
+    }
 
-        assert_eq!(Arc::strong_count(&held), 3, "the test, the factory and the component");
-        assert_eq!(stage.exits.drain(), []);
-    });
+    assert_eq!(Arc::strong_count(&held), 3, "the test, the factory and the component");
+    assert_eq!(stage.exits.drain(), []);
 }

@@ -6,7 +6,7 @@ use crate::topic::Publisher;
 use crate::{ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Ports};
 use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::{Contract, ObjectName};
-use blastema_doubles::{advance, paused, settle};
+use blastema_doubles::{advance, settle};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -80,96 +80,85 @@ fn thread(publisher: Publisher<Reading>) -> (Sender<u64>, Receiver<Option<Delive
     (orders, answers)
 }
 
-#[test]
-fn a_publisher_is_fenced_when_its_incarnation_is_given_up_or_stopped() {
-    paused(async {
-        let stage = Stage::new();
-        let bench = Bench::default();
-        let (spec, log) = ear();
-        let (_ear, _) = stage.start(spec).await;
-        let (mut child, _) = stage.start(source(&bench)).await;
-        let publish = |at: usize, n: u64| {
-            let publisher = bench.publishers.lock().unwrap()[at].clone();
-            publisher.publish(Reading(n)).map_err(|error| error.kind)
-        };
-        assert_eq!(publish(0, 1), Ok(()));
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_publisher_is_fenced_when_its_incarnation_is_given_up_or_stopped() {
+    let stage = Stage::new();
+    let bench = Bench::default();
+    let (spec, log) = ear();
+    let (_ear, _) = stage.start(spec).await;
+    let (mut child, _) = stage.start(source(&bench)).await;
+    let publish = |at: usize, n: u64| {
+        let publisher = bench.publishers.lock().unwrap()[at].clone();
+        publisher.publish(Reading(n)).map_err(|error| error.kind)
+    };
+    assert_eq!(publish(0, 1), Ok(()));
 
-        child.order(ChildOrder::Abandon);
-        assert_eq!(publish(0, 2), Err(DeliveryError::Fenced));
-        stage.begin(&mut *child, 2).await;
-        assert_eq!(publish(1, 3), Ok(()));
-        child.order(ChildOrder::Isolate(true));
-        assert_eq!(publish(1, 4), Err(DeliveryError::SenderIsolated));
-        child.order(ChildOrder::Isolate(false));
-        child.order(ChildOrder::Stop { again: false });
-        settle().await;
-        assert_eq!(publish(1, 5), Err(DeliveryError::Fenced));
+    child.order(ChildOrder::Abandon);
+    assert_eq!(publish(0, 2), Err(DeliveryError::Fenced));
+    stage.begin(&mut *child, 2).await;
+    assert_eq!(publish(1, 3), Ok(()));
+    child.order(ChildOrder::Isolate(true));
+    assert_eq!(publish(1, 4), Err(DeliveryError::SenderIsolated));
+    child.order(ChildOrder::Isolate(false));
+    child.order(ChildOrder::Stop { again: false });
+    settle().await;
+    assert_eq!(publish(1, 5), Err(DeliveryError::Fenced));
 
-        settle().await;
-        assert_eq!(logged(&log), [1, 3]);
-    });
+    settle().await;
+    assert_eq!(logged(&log), [1, 3]);
 }
 
-#[test]
-fn what_an_isolated_component_publishes_without_a_result_is_counted() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, log) = ear();
-        let (_ear, _) = stage.start(spec).await;
-        let (mut child, _) = stage.start(source(&Bench::default()).rate_hz(10.0)).await;
-        advance(Duration::from_millis(250)).await;
-        let before = logged(&log).len();
-        assert!(before >= 2, "{before}");
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn what_an_isolated_component_publishes_without_a_result_is_counted() {
+    let stage = Stage::new();
+    let (spec, log) = ear();
+    let (_ear, _) = stage.start(spec).await;
+    let (mut child, _) = stage.start(source(&Bench::default()).rate_hz(10.0)).await;
+    advance(Duration::from_millis(250)).await;
+    let before = logged(&log).len();
+    assert!(before >= 2, "{before}");
 
-        child.order(ChildOrder::Isolate(true));
-        advance(Duration::from_millis(500)).await;
+    child.order(ChildOrder::Isolate(true));
+    advance(Duration::from_millis(500)).await;
 
-        assert_eq!(logged(&log), [0; 0]);
-        let topic = ObjectName::new(Reading::NAME).unwrap();
-        let counted = stage.environment.dead_letters.count(&topic, DeadReason::Isolated);
-        assert_eq!(counted, 5);
-    });
+    assert_eq!(logged(&log), [0; 0]);
+    let topic = ObjectName::new(Reading::NAME).unwrap();
+    let counted = stage.environment.dead_letters.count(&topic, DeadReason::Isolated);
+    assert_eq!(counted, 5);
 }
 
 /// On real threads.
 mod real {
     use super::*;
 
-    #[test]
-    fn a_publisher_in_a_thread_is_fenced_with_its_incarnation() {
-        let _turn = blastema_doubles::turn();
-        actix_rt::System::new().block_on(async {
-            let stage = Stage::on(ArbiterPool::pool(1));
-            let bench = Bench::default();
-            let (spec, log) = ear();
-            let (_ear, _) = stage.start(spec).await;
-            let (mut child, source) = stage.start(source(&bench)).await;
-            child.order(GRANT);
-            let first = bench.publishers.lock().unwrap()[0].clone();
-            let (tell, answers) = thread(first);
+    #[blastema_macros::test(crate = "blastema_doubles::real")]
+    async fn a_publisher_in_a_thread_is_fenced_with_its_incarnation() {
+        let stage = Stage::on(ArbiterPool::pool(1));
+        let bench = Bench::default();
+        let (spec, log) = ear();
+        let (_ear, _) = stage.start(spec).await;
+        let (mut child, source) = stage.start(source(&bench)).await;
+        child.order(GRANT);
+        let first = bench.publishers.lock().unwrap()[0].clone();
+        let (tell, answers) = thread(first);
 
-            tell.send(1).unwrap();
-            assert_eq!(answers.recv().unwrap(), None);
-            source.tell(boom("x")).unwrap();
-            stage.exits.expect().await;
-            tell.send(2).unwrap();
-            assert_eq!(answers.recv().unwrap(), Some(DeliveryError::Fenced));
-            while bench.publishers.lock().unwrap().len() < 2 {
-                tokio::time::sleep(Duration::from_millis(5)).await;
-            }
-            let second = bench.publishers.lock().unwrap()[1].clone();
-            second.publish(Reading(3)).unwrap();
-            while log.lock().unwrap().len() < 2 {
-                tokio::time::sleep(Duration::from_millis(5)).await;
-            }
+        tell.send(1).unwrap();
+        assert_eq!(answers.recv().unwrap(), None);
+        source.tell(boom("x")).unwrap();
+        stage.exits.expect().await;
+        tell.send(2).unwrap();
+        assert_eq!(answers.recv().unwrap(), Some(DeliveryError::Fenced));
+        while bench.publishers.lock().unwrap().len() < 2 {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        let second = bench.publishers.lock().unwrap()[1].clone();
+        second.publish(Reading(3)).unwrap();
+        while log.lock().unwrap().len() < 2 {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
 
-            assert_eq!(logged(&log), [1, 3], "nothing of the first incarnation after its end");
-            assert_eq!(
-                stage.environment.dead_letters.total(),
-                1,
-                "the message that killed, no more"
-            );
-            stage.environment.arbiters.stop();
-        });
+        assert_eq!(logged(&log), [1, 3], "nothing of the first incarnation after its end");
+        assert_eq!(stage.environment.dead_letters.total(), 1, "the message that killed, no more");
+        stage.environment.arbiters.stop();
     }
 }

@@ -102,93 +102,85 @@ fn states(stage: &Stage) -> Vec<(Lifecycle, Option<String>)> {
 
 const BEGINNING: [&str; 3] = ["on_initialize", "on_startup", "on_activated"];
 
-#[test]
-fn an_incarnation_runs_from_initialisation_to_its_end_in_order() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, diary) = diary();
-        let (mut child, reference) = stage.start(spec).await;
-        settle().await;
-        assert_eq!(diary.ran(), BEGINNING);
-        let reported = states(&stage);
-        assert_eq!(reported.last().unwrap(), &(Lifecycle::Active, None));
-        assert_eq!(reference.state(), Lifecycle::Active);
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn an_incarnation_runs_from_initialisation_to_its_end_in_order() {
+    let stage = Stage::new();
+    let (spec, diary) = diary();
+    let (mut child, reference) = stage.start(spec).await;
+    settle().await;
+    assert_eq!(diary.ran(), BEGINNING);
+    let reported = states(&stage);
+    assert_eq!(reported.last().unwrap(), &(Lifecycle::Active, None));
+    assert_eq!(reference.state(), Lifecycle::Active);
 
-        child.order(ChildOrder::Stop { again: false });
-        settle().await;
+    child.order(ChildOrder::Stop { again: false });
+    settle().await;
 
-        assert_eq!(diary.ran(), ["on_deactivated", "on_shutdown", "on_finalize"]);
-        assert_eq!(states(&stage).last().unwrap(), &(Lifecycle::Finalized, None));
-        assert_eq!(stage.reports.drain().pop().unwrap().event, ChildEvent::Stopped);
-        assert_eq!(stage.exits.drain().pop().unwrap().exit, ExitReason::Stopped);
-        assert_eq!(reference.tell(Do::Fail).unwrap_err().kind, DeliveryError::Stopped);
+    assert_eq!(diary.ran(), ["on_deactivated", "on_shutdown", "on_finalize"]);
+    assert_eq!(states(&stage).last().unwrap(), &(Lifecycle::Finalized, None));
+    assert_eq!(stage.reports.drain().pop().unwrap().event, ChildEvent::Stopped);
+    assert_eq!(stage.exits.drain().pop().unwrap().exit, ExitReason::Stopped);
+    assert_eq!(reference.tell(Do::Fail).unwrap_err().kind, DeliveryError::Stopped);
 
-        child.order(ChildOrder::Stop { again: false });
-        settle().await;
-        assert_eq!(stage.reports.drain().pop().unwrap().event, ChildEvent::Stopped);
-    });
+    child.order(ChildOrder::Stop { again: false });
+    settle().await;
+    assert_eq!(stage.reports.drain().pop().unwrap().event, ChildEvent::Stopped);
 }
 
-#[test]
-fn on_execute_keeps_its_rate_and_skips_what_it_missed() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, diary) = diary();
-        let (_child, reference) = stage.start(spec.rate_hz(10.0)).await;
-        advance(Duration::from_millis(350)).await;
-        let rounds = diary.ran().iter().filter(|hook| **hook == "on_execute").count();
-        assert_eq!(rounds, 4, "at 0, 100, 200 and 300 ms");
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn on_execute_keeps_its_rate_and_skips_what_it_missed() {
+    let stage = Stage::new();
+    let (spec, diary) = diary();
+    let (_child, reference) = stage.start(spec.rate_hz(10.0)).await;
+    advance(Duration::from_millis(350)).await;
+    let rounds = diary.ran().iter().filter(|hook| **hook == "on_execute").count();
+    assert_eq!(rounds, 4, "at 0, 100, 200 and 300 ms");
 
-        reference.tell(Do::ChangeRate).unwrap();
-        advance(Duration::from_millis(510)).await;
-        let ran = diary.ran();
-        let rounds = ran.iter().filter(|hook| **hook == "on_execute").count();
-        assert!((10..=12).contains(&rounds), "{rounds} in 510 ms at 20 Hz");
-    });
+    reference.tell(Do::ChangeRate).unwrap();
+    advance(Duration::from_millis(510)).await;
+    let ran = diary.ran();
+    let rounds = ran.iter().filter(|hook| **hook == "on_execute").count();
+    assert!((10..=12).contains(&rounds), "{rounds} in 510 ms at 20 Hz");
 }
 
-#[test]
-fn messages_wait_while_a_component_is_in_error() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, _) = diary();
-        let (mut child, reference) = stage.start(spec).await;
-        reference.tell(Do::Fail).unwrap();
-        reference.tell(Do::DeclareFault).unwrap();
-        settle().await;
-        assert_eq!((reference.state(), reference.queued()), (Lifecycle::Error, 1));
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn messages_wait_while_a_component_is_in_error() {
+    let stage = Stage::new();
+    let (spec, _) = diary();
+    let (mut child, reference) = stage.start(spec).await;
+    reference.tell(Do::Fail).unwrap();
+    reference.tell(Do::DeclareFault).unwrap();
+    settle().await;
+    assert_eq!((reference.state(), reference.queued()), (Lifecycle::Error, 1));
 
-        child.order(ChildOrder::Reset);
-        settle().await;
+    child.order(ChildOrder::Reset);
+    settle().await;
 
-        assert_eq!(reference.queued(), 0);
-        let faults = stage.faults.drain();
-        assert_eq!(faults[0].kind, FaultKind::Overload);
-        assert_eq!(faults[1].detail, "speed is 3.0, outside of 0.0..=2.0");
-        assert_eq!(faults.len(), 2);
-    });
+    assert_eq!(reference.queued(), 0);
+    let faults = stage.faults.drain();
+    assert_eq!(faults[0].kind, FaultKind::Overload);
+    assert_eq!(faults[1].detail, "speed is 3.0, outside of 0.0..=2.0");
+    assert_eq!(faults.len(), 2);
 }
 
-#[test]
-fn a_component_leaves_work_and_returns_when_it_is_asked_to() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, diary) = diary();
-        let (_child, reference) = stage.start(spec.rate_hz(10.0)).await;
-        settle().await;
-        diary.ran();
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_component_leaves_work_and_returns_when_it_is_asked_to() {
+    let stage = Stage::new();
+    let (spec, diary) = diary();
+    let (_child, reference) = stage.start(spec.rate_hz(10.0)).await;
+    settle().await;
+    diary.ran();
 
-        reference.deactivate();
-        reference.tell(Do::DeclareFault).unwrap();
-        advance(Duration::from_secs(1)).await;
-        assert_eq!(diary.ran(), ["on_deactivated"]);
-        assert_eq!((reference.state(), reference.queued()), (Lifecycle::Initialized, 1));
+    reference.deactivate();
+    reference.tell(Do::DeclareFault).unwrap();
+    advance(Duration::from_secs(1)).await;
+    assert_eq!(diary.ran(), ["on_deactivated"]);
+    assert_eq!((reference.state(), reference.queued()), (Lifecycle::Initialized, 1));
 
-        reference.activate();
-        advance(Duration::from_millis(150)).await;
-        assert_eq!(diary.ran()[..2], ["on_activated", "on_execute"]);
-        assert_eq!(reference.queued(), 0);
-    });
+    reference.activate();
+    advance(Duration::from_millis(150)).await;
+    assert_eq!(diary.ran()[..2], ["on_activated", "on_execute"]);
+    assert_eq!(reference.queued(), 0);
 }
 
 #[test]
@@ -217,66 +209,57 @@ fn each_hook_that_fails_while_an_incarnation_ends_says_so() {
     }
 }
 
-#[test]
-fn the_last_hook_of_a_failed_start_has_no_longer_than_that_of_a_stop() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, diary) = diary();
-        let spec = spec.shutdown_within(Duration::from_secs(2));
-        let (mut child, _) = stage.add(spec);
-        diary.plan("on_startup", Outcome::Fail);
-        diary.plan("on_shutdown", Outcome::Hang);
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn the_last_hook_of_a_failed_start_has_no_longer_than_that_of_a_stop() {
+    let stage = Stage::new();
+    let (spec, diary) = diary();
+    let spec = spec.shutdown_within(Duration::from_secs(2));
+    let (mut child, _) = stage.add(spec);
+    diary.plan("on_startup", Outcome::Fail);
+    diary.plan("on_shutdown", Outcome::Hang);
 
-        child.start(Incarnation(1), stage.reports.recipient().into());
-        advance(Duration::from_millis(1900)).await;
-        assert!(stage.exits.drain().is_empty());
-        let events: Vec<_> = stage.reports.drain().into_iter().map(|r| r.event).collect();
-        assert_eq!(events, [ChildEvent::FailsToStart], "the next one may not begin yet");
-        advance(Duration::from_millis(200)).await;
+    child.start(Incarnation(1), stage.reports.recipient().into());
+    advance(Duration::from_millis(1900)).await;
+    assert!(stage.exits.drain().is_empty());
+    let events: Vec<_> = stage.reports.drain().into_iter().map(|r| r.event).collect();
+    assert_eq!(events, [ChildEvent::FailsToStart], "the next one may not begin yet");
+    advance(Duration::from_millis(200)).await;
 
-        let event = stage.reports.drain().pop().expect("it has ended").event;
-        assert!(matches!(event, ChildEvent::StartFailed { .. }), "{event:?}");
-        let ended = stage.exits.drain().pop().expect("its end is told");
-        assert_eq!((ended.incarnation, ended.exit), (Incarnation(1), ExitReason::Fatal));
-    });
+    let event = stage.reports.drain().pop().expect("it has ended").event;
+    assert!(matches!(event, ChildEvent::StartFailed { .. }), "{event:?}");
+    let ended = stage.exits.drain().pop().expect("its end is told");
+    assert_eq!((ended.incarnation, ended.exit), (Incarnation(1), ExitReason::Fatal));
 }
 
-#[test]
-fn control_is_served_while_a_hook_awaits() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, diary) = diary();
-        let (mut child, reference) = stage.add(spec);
-        diary.plan("on_initialize", Outcome::Hang);
-        child.start(Incarnation(1), stage.reports.recipient().into());
-        settle().await;
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn control_is_served_while_a_hook_awaits() {
+    let stage = Stage::new();
+    let (spec, diary) = diary();
+    let (mut child, reference) = stage.add(spec);
+    diary.plan("on_initialize", Outcome::Hang);
+    child.start(Incarnation(1), stage.reports.recipient().into());
+    settle().await;
 
-        reference.0.inject(Injection::Panic);
-        settle().await;
+    reference.0.inject(Injection::Panic);
+    settle().await;
 
-        let ended = stage.exits.drain().pop().expect("its end is told");
-        assert!(matches!(ended.exit, ExitReason::Panicked { .. }), "{ended:?}");
-    });
+    let ended = stage.exits.drain().pop().expect("its end is told");
+    assert!(matches!(ended.exit, ExitReason::Panicked { .. }), "{ended:?}");
 }
 
-#[test]
-fn states_that_a_replacement_passes_through_in_one_poll_are_told_as_one() {
-    paused(async {
-        let stage = Stage::new();
-        let (mut child, fragile) = stage.start(ChildSpec::new("fragile", || Fragile)).await;
-        child.order(GRANT);
-        stage.states.drain();
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn states_that_a_replacement_passes_through_in_one_poll_are_told_as_one() {
+    let stage = Stage::new();
+    let (mut child, fragile) = stage.start(ChildSpec::new("fragile", || Fragile)).await;
+    child.order(GRANT);
+    stage.states.drain();
 
-        fragile.tell(Die).unwrap();
-        settle().await;
+    fragile.tell(Die).unwrap();
+    settle().await;
 
-        let reported = stage.states.drain();
-        assert_eq!(reported.len(), 1, "{reported:?}");
-        assert_eq!(
-            (reported[0].incarnation, reported[0].state),
-            (Incarnation(2), Lifecycle::Active)
-        );
-    });
+    let reported = stage.states.drain();
+    assert_eq!(reported.len(), 1, "{reported:?}");
+    assert_eq!((reported[0].incarnation, reported[0].state), (Incarnation(2), Lifecycle::Active));
 }
 
 #[derive(Clone, Event)]

@@ -6,7 +6,7 @@ use crate::{ChildSpec, Component, Context, DeliveryError, Handle, Sender};
 use actix::Actor;
 use actix::prelude::Handler;
 use blastema_contract::child::ChildOrder;
-use blastema_doubles::{paused, settle};
+use blastema_doubles::settle;
 
 struct Plain(u64);
 impl Actor for Plain {
@@ -29,38 +29,34 @@ impl Handle<Add> for Asker {
     }
 }
 
-#[test]
-fn a_plain_actor_sends_to_components_through_a_recipient() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, log) = acc("acc");
-        let (mut child, acc) = stage.start(spec).await;
-        let (add, note) = (plain::recipient(&acc.sender()), plain::recipient(&acc.sender()));
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_plain_actor_sends_to_components_through_a_recipient() {
+    let stage = Stage::new();
+    let (spec, log) = acc("acc");
+    let (mut child, acc) = stage.start(spec).await;
+    let (add, note) = (plain::recipient(&acc.sender()), plain::recipient(&acc.sender()));
 
-        assert_eq!(add.send(Deliver(Add(4))).await.unwrap(), Ok(4));
-        note.do_send(Deliver(Note(5)));
-        settle().await;
-        assert_eq!(logged(&log), [5]);
+    assert_eq!(add.send(Deliver(Add(4))).await.unwrap(), Ok(4));
+    note.do_send(Deliver(Note(5)));
+    settle().await;
+    assert_eq!(logged(&log), [5]);
 
-        child.order(ChildOrder::Stop { again: false });
-        settle().await;
-        assert_eq!(add.send(Deliver(Add(4))).await.unwrap(), Err(DeliveryError::Stopped));
-    });
+    child.order(ChildOrder::Stop { again: false });
+    settle().await;
+    assert_eq!(add.send(Deliver(Add(4))).await.unwrap(), Err(DeliveryError::Stopped));
 }
 
-#[test]
-fn a_component_sends_to_a_plain_actor_through_a_sender() {
-    paused(async {
-        let stage = Stage::new();
-        let plain = Plain(0).start();
-        let sender = plain::sender(plain.clone().recipient());
-        let kept = sender.clone();
-        let spec = ChildSpec::new("asker", move || Asker(kept.clone()));
-        let (_child, asker) = stage.start(spec).await;
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_component_sends_to_a_plain_actor_through_a_sender() {
+    let stage = Stage::new();
+    let plain = Plain(0).start();
+    let sender = plain::sender(plain.clone().recipient());
+    let kept = sender.clone();
+    let spec = ChildSpec::new("asker", move || Asker(kept.clone()));
+    let (_child, asker) = stage.start(spec).await;
 
-        assert_eq!(asker.ask(Add(3)).await, Ok(3));
-        sender.tell(Add(1)).unwrap();
-        sender.deliver(Add(1)).await.unwrap();
-        assert_eq!(sender.ask(Add(0)).await, Ok(5));
-    });
+    assert_eq!(asker.ask(Add(3)).await, Ok(3));
+    sender.tell(Add(1)).unwrap();
+    sender.deliver(Add(1)).await.unwrap();
+    assert_eq!(sender.ask(Add(0)).await, Ok(5));
 }

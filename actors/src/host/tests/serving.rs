@@ -10,68 +10,62 @@ use blastema_doubles::{advance, paused, settle};
 use std::time::Duration;
 use tokio::task::spawn_local;
 
-#[test]
-fn a_handler_borrows_across_an_await_while_messages_wait_and_control_does_not() {
-    paused(async {
-        let stage = Stage::new();
-        let (_child, acc) = stage.start(acc("acc").0).await;
-        let slow = spawn_local({
-            let acc = acc.clone();
-            async move { acc.ask(Slow(50)).await }
-        });
-        settle().await;
-        let add = spawn_local({
-            let acc = acc.clone();
-            async move { acc.ask(Add(1)).await }
-        });
-        advance(Duration::from_millis(20)).await;
-        assert!(!add.is_finished());
-
-        let queue = acc.0.queue();
-
-        assert_eq!((acc.state(), queue.queued), (Lifecycle::Active, 1));
-        assert!(queue.oldest >= Duration::from_millis(10), "{queue:?}");
-        assert_eq!((slow.await.unwrap(), add.await.unwrap()), (Ok(1000), Ok(1001)));
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_handler_borrows_across_an_await_while_messages_wait_and_control_does_not() {
+    let stage = Stage::new();
+    let (_child, acc) = stage.start(acc("acc").0).await;
+    let slow = spawn_local({
+        let acc = acc.clone();
+        async move { acc.ask(Slow(50)).await }
     });
+    settle().await;
+    let add = spawn_local({
+        let acc = acc.clone();
+        async move { acc.ask(Add(1)).await }
+    });
+    advance(Duration::from_millis(20)).await;
+    assert!(!add.is_finished());
+
+    let queue = acc.0.queue();
+
+    assert_eq!((acc.state(), queue.queued), (Lifecycle::Active, 1));
+    assert!(queue.oldest >= Duration::from_millis(10), "{queue:?}");
+    assert_eq!((slow.await.unwrap(), add.await.unwrap()), (Ok(1000), Ok(1001)));
 }
 
-#[test]
-fn a_sender_hides_the_component_and_serves_alike() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, log) = acc("acc");
-        let (_child, acc) = stage.start(spec).await;
-        let add: Sender<Add> = acc.sender();
-        let note: Sender<Note> = stage.environment.registry.sender("acc").unwrap();
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_sender_hides_the_component_and_serves_alike() {
+    let stage = Stage::new();
+    let (spec, log) = acc("acc");
+    let (_child, acc) = stage.start(spec).await;
+    let add: Sender<Add> = acc.sender();
+    let note: Sender<Note> = stage.environment.registry.sender("acc").unwrap();
 
-        assert_eq!(add.ask(Add(4)).await, Ok(4));
-        note.tell(Note(7)).unwrap();
-        note.deliver(Note(8)).await.unwrap();
+    assert_eq!(add.ask(Add(4)).await, Ok(4));
+    note.tell(Note(7)).unwrap();
+    note.deliver(Note(8)).await.unwrap();
 
-        settle().await;
-        assert_eq!(logged(&log), [7, 8]);
-    });
+    settle().await;
+    assert_eq!(logged(&log), [7, 8]);
 }
 
-#[test]
-fn a_request_whose_asker_gave_up_is_not_served_but_counted() {
-    paused(async {
-        let stage = Stage::new();
-        let (_child, acc) = stage.start(acc("acc").0).await;
-        let slow = spawn_local({
-            let acc = acc.clone();
-            async move { acc.ask(Slow(100)).await }
-        });
-        settle().await;
-
-        let late = acc.ask_within(Add(5), Duration::from_millis(20)).await.unwrap_err();
-
-        assert_eq!(late.kind, DeliveryError::DeadlinePassed);
-        assert_eq!(slow.await.unwrap(), Ok(1000));
-        assert_eq!(acc.ask(Add(0)).await, Ok(1000));
-        let dead = &stage.environment.dead_letters;
-        assert_eq!(dead.count(acc.name(), DeadReason::DeadlinePassed), 1);
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_request_whose_asker_gave_up_is_not_served_but_counted() {
+    let stage = Stage::new();
+    let (_child, acc) = stage.start(acc("acc").0).await;
+    let slow = spawn_local({
+        let acc = acc.clone();
+        async move { acc.ask(Slow(100)).await }
     });
+    settle().await;
+
+    let late = acc.ask_within(Add(5), Duration::from_millis(20)).await.unwrap_err();
+
+    assert_eq!(late.kind, DeliveryError::DeadlinePassed);
+    assert_eq!(slow.await.unwrap(), Ok(1000));
+    assert_eq!(acc.ask(Add(0)).await, Ok(1000));
+    let dead = &stage.environment.dead_letters;
+    assert_eq!(dead.count(acc.name(), DeadReason::DeadlinePassed), 1);
 }
 
 #[test]
@@ -95,8 +89,8 @@ fn a_deadline_holds_on_a_thread_without_a_beat() {
     });
 }
 
-#[test]
-fn a_component_that_floods_itself_starves_nobody() {
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_component_that_floods_itself_starves_nobody() {
     use crate::{Component, Context, Event, Handle};
 
     #[derive(Clone, Event)]
@@ -109,17 +103,15 @@ fn a_component_that_floods_itself_starves_nobody() {
         }
     }
 
-    paused(async {
-        let stage = Stage::new();
-        let spec = crate::ChildSpec::new("flood", || Flood).queue(8, WhenFull::Refuse);
-        let (mut child, flood) = stage.start(spec).await;
-        flood.tell(Again(0)).unwrap();
-        let (_other, acc) = stage.start(acc("acc").0).await;
+    let stage = Stage::new();
+    let spec = crate::ChildSpec::new("flood", || Flood).queue(8, WhenFull::Refuse);
+    let (mut child, flood) = stage.start(spec).await;
+    flood.tell(Again(0)).unwrap();
+    let (_other, acc) = stage.start(acc("acc").0).await;
 
-        assert_eq!(acc.ask(Add(1)).await, Ok(1));
-        child.order(ChildOrder::Stop { again: false });
-        settle().await;
+    assert_eq!(acc.ask(Add(1)).await, Ok(1));
+    child.order(ChildOrder::Stop { again: false });
+    settle().await;
 
-        assert_eq!(flood.tell(Again(0)).unwrap_err().kind, DeliveryError::Stopped);
-    });
+    assert_eq!(flood.tell(Again(0)).unwrap_err().kind, DeliveryError::Stopped);
 }

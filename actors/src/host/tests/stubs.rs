@@ -6,7 +6,7 @@ use crate::registry::remote::{OutgoingRequest, RemoteStub, StubFactory};
 use crate::{DeliveryError, Event, Incarnation};
 use blastema_core::contract::codec;
 use blastema_core::{Blob, ContractIdentity, GatherBuffer, NodeName, ObjectAddress};
-use blastema_doubles::{paused, settle};
+use blastema_doubles::settle;
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::atomic::AtomicBool;
@@ -44,25 +44,23 @@ impl RemoteStub for MirrorDoor {
     }
 }
 
-#[test]
-fn an_object_of_another_node_is_asked_with_the_same_code() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, log) = acc("acc");
-        let (_child, _) = stage.start(spec).await;
-        let registry = &stage.environment.registry;
-        let mirror = Arc::new(Mirror(registry.clone()));
-        registry.set_node(NodeName::new("here").unwrap());
-        registry.connect(mirror);
-        let add = registry.sender::<Add>("there:acc").unwrap();
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn an_object_of_another_node_is_asked_with_the_same_code() {
+    let stage = Stage::new();
+    let (spec, log) = acc("acc");
+    let (_child, _) = stage.start(spec).await;
+    let registry = &stage.environment.registry;
+    let mirror = Arc::new(Mirror(registry.clone()));
+    registry.set_node(NodeName::new("here").unwrap());
+    registry.connect(mirror);
+    let add = registry.sender::<Add>("there:acc").unwrap();
 
-        assert_eq!(add.ask(Add(2)).await, Ok(2));
-        registry.sender::<Note>("there:acc").unwrap().deliver(Note(3)).await.unwrap();
-        settle().await;
-        assert_eq!(logged(&log), [3]);
-        let died = registry.sender::<Boom>("there:acc").unwrap().ask(boom("x")).await.unwrap_err();
-        assert_eq!(died.kind, DeliveryError::PeerDied { incarnation: Incarnation(1) });
-    });
+    assert_eq!(add.ask(Add(2)).await, Ok(2));
+    registry.sender::<Note>("there:acc").unwrap().deliver(Note(3)).await.unwrap();
+    settle().await;
+    assert_eq!(logged(&log), [3]);
+    let died = registry.sender::<Boom>("there:acc").unwrap().ask(boom("x")).await.unwrap_err();
+    assert_eq!(died.kind, DeliveryError::PeerDied { incarnation: Incarnation(1) });
 }
 
 /// Much that a vector holds.
@@ -105,24 +103,22 @@ impl RemoteStub for Narrow {
     }
 }
 
-#[test]
-fn a_large_blob_is_sent_and_returned_without_a_copy() {
-    paused(async {
-        let registry = Stage::new().environment.registry.clone();
-        let narrow = Narrow::default();
-        registry.set_node(NodeName::new("here").unwrap());
-        registry.connect(Arc::new(narrow.clone()));
-        let images = registry.sender::<Image>("there:screen").unwrap();
-        let image = Image { number: 7, pixels: vec![9; 10_000].into() };
-        let (place, copy) = (image.pixels.as_ptr(), image.clone());
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_large_blob_is_sent_and_returned_without_a_copy() {
+    let registry = Stage::new().environment.registry.clone();
+    let narrow = Narrow::default();
+    registry.set_node(NodeName::new("here").unwrap());
+    registry.connect(Arc::new(narrow.clone()));
+    let images = registry.sender::<Image>("there:screen").unwrap();
+    let image = Image { number: 7, pixels: vec![9; 10_000].into() };
+    let (place, copy) = (image.pixels.as_ptr(), image.clone());
 
-        let refused = images.tell(image).unwrap_err();
-        assert_eq!((refused.kind, &refused.message), (DeliveryError::Full, &copy));
-        assert_eq!(refused.message.pixels.as_ptr(), place);
+    let refused = images.tell(image).unwrap_err();
+    assert_eq!((refused.kind, &refused.message), (DeliveryError::Full, &copy));
+    assert_eq!(refused.message.pixels.as_ptr(), place);
 
-        images.tell(refused.message).unwrap();
-        let taken = narrow.taken.lock().unwrap().take().unwrap();
-        assert!(taken.pieces().iter().any(|piece| piece.as_ptr() == place));
-        assert_eq!(codec::decode::<Image>(&taken.into_bytes()), Ok(copy));
-    });
+    images.tell(refused.message).unwrap();
+    let taken = narrow.taken.lock().unwrap().take().unwrap();
+    assert!(taken.pieces().iter().any(|piece| piece.as_ptr() == place));
+    assert_eq!(codec::decode::<Image>(&taken.into_bytes()), Ok(copy));
 }

@@ -92,18 +92,16 @@ fn taken(reported: &Mutex<Vec<Received>>) -> Vec<Received> {
     std::mem::take(&mut *reported.lock().unwrap())
 }
 
-#[test]
-fn an_object_of_another_node_is_lost_to_a_node_without_a_network() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, told) = widow("widow", &["there:arm"]);
-        let _widow = stage.start(spec).await;
-        settle().await;
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn an_object_of_another_node_is_lost_to_a_node_without_a_network() {
+    let stage = Stage::new();
+    let (spec, told) = widow("widow", &["there:arm"]);
+    let _widow = stage.start(spec).await;
+    settle().await;
 
-        let reason = DeliveryError::Unreachable { node: "there".into() }.to_string();
-        let lost = Received::Down("arm".into(), 0, DownReason::NodeLost { reason });
-        assert_eq!(taken(&told), [lost]);
-    });
+    let reason = DeliveryError::Unreachable { node: "there".into() }.to_string();
+    let lost = Received::Down("arm".into(), 0, DownReason::NodeLost { reason });
+    assert_eq!(taken(&told), [lost]);
 }
 
 #[test]
@@ -146,50 +144,46 @@ fn a_full_queue_loses_no_notice_whatever_its_policy() {
     }
 }
 
-#[test]
-fn an_isolated_watcher_is_told_when_it_is_let_in_again() {
-    paused(async {
-        let stage = Stage::new();
-        let (mut child, arm) = stage.start::<Acc>(acc("arm").0).await;
-        child.order(GRANT);
-        let (spec, reported) = widow("widow", &["arm"]);
-        let (mut watcher, _) = stage.start(spec).await;
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn an_isolated_watcher_is_told_when_it_is_let_in_again() {
+    let stage = Stage::new();
+    let (mut child, arm) = stage.start::<Acc>(acc("arm").0).await;
+    child.order(GRANT);
+    let (spec, reported) = widow("widow", &["arm"]);
+    let (mut watcher, _) = stage.start(spec).await;
 
-        watcher.order(ChildOrder::Isolate(true));
-        arm.tell(boom("x")).unwrap();
-        settle().await;
-        assert_eq!(taken(&reported), []);
-        watcher.order(ChildOrder::Isolate(false));
-        settle().await;
+    watcher.order(ChildOrder::Isolate(true));
+    arm.tell(boom("x")).unwrap();
+    settle().await;
+    assert_eq!(taken(&reported), []);
+    watcher.order(ChildOrder::Isolate(false));
+    settle().await;
 
-        assert!(matches!(&taken(&reported)[..], [Received::Down(of, 1, _)] if of == "arm"));
-    });
+    assert!(matches!(&taken(&reported)[..], [Received::Down(of, 1, _)] if of == "arm"));
 }
 
-#[test]
-fn a_notice_that_was_not_taken_ends_with_the_incarnation_that_watched() {
-    paused(async {
-        let stage = Stage::new();
-        let (mut child, arm) = stage.start::<Acc>(acc("arm").0).await;
-        child.order(GRANT);
-        let (spec, reported) = widow("widow", &["arm"]);
-        let (mut watcher, widow) = stage.start(spec).await;
-        watcher.order(GRANT);
-        widow.tell(Chatter(1)).unwrap();
-        settle().await;
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_notice_that_was_not_taken_ends_with_the_incarnation_that_watched() {
+    let stage = Stage::new();
+    let (mut child, arm) = stage.start::<Acc>(acc("arm").0).await;
+    child.order(GRANT);
+    let (spec, reported) = widow("widow", &["arm"]);
+    let (mut watcher, widow) = stage.start(spec).await;
+    watcher.order(GRANT);
+    widow.tell(Chatter(1)).unwrap();
+    settle().await;
 
-        arm.tell(boom("x")).unwrap();
-        settle().await;
-        watcher.order(ChildOrder::Abandon);
-        assert_eq!(stage.begin(&mut *watcher, 2).await, ChildEvent::Started);
-        settle().await;
+    arm.tell(boom("x")).unwrap();
+    settle().await;
+    watcher.order(ChildOrder::Abandon);
+    assert_eq!(stage.begin(&mut *watcher, 2).await, ChildEvent::Started);
+    settle().await;
 
-        assert_eq!(taken(&reported), [], "the second incarnation saw it alive");
-        child.order(GRANT);
-        arm.tell(boom("y")).unwrap();
-        settle().await;
-        assert!(matches!(&taken(&reported)[..], [Received::Down(_, 2, _)]));
-    });
+    assert_eq!(taken(&reported), [], "the second incarnation saw it alive");
+    child.order(GRANT);
+    arm.tell(boom("y")).unwrap();
+    settle().await;
+    assert!(matches!(&taken(&reported)[..], [Received::Down(_, 2, _)]));
 }
 
 /// How many watch this component.
@@ -197,38 +191,36 @@ fn watchers<C: Component>(of: &ActorRef<C>) -> usize {
     of.0.record.environment.registry.deaths().watchers(of.name())
 }
 
-#[test]
-fn three_hundred_incarnations_that_watch_listen_and_publish_leave_nothing_behind() {
-    paused(async {
-        let stage = Stage::new();
-        let (_arm, arm) = stage.start::<Acc>(acc("arm").0).await;
-        let interest = Arc::<Mutex<Vec<_>>>::default();
-        let kept = interest.clone();
-        stage.environment.feature::<Topics>().on_interest(Arc::new(move |key| {
-            kept.lock().unwrap().push(key.topic.to_string());
-        }));
-        let (spec, _) = widow("widow", &["arm", "widow", "absent"]);
-        let (mut child, widow) = stage.start(spec).await;
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn three_hundred_incarnations_that_watch_listen_and_publish_leave_nothing_behind() {
+    let stage = Stage::new();
+    let (_arm, arm) = stage.start::<Acc>(acc("arm").0).await;
+    let interest = Arc::<Mutex<Vec<_>>>::default();
+    let kept = interest.clone();
+    stage.environment.feature::<Topics>().on_interest(Arc::new(move |key| {
+        kept.lock().unwrap().push(key.topic.to_string());
+    }));
+    let (spec, _) = widow("widow", &["arm", "widow", "absent"]);
+    let (mut child, widow) = stage.start(spec).await;
+    settle().await;
+    let before = (watchers(&arm), watchers(&widow), Arc::strong_count(&widow.0));
+    // Its variables' store watches the widow too.
+    assert_eq!((before.0, before.1), (1, 2));
+    assert_eq!(stage.environment.feature::<VariableStore>().watchers(), 1);
+
+    for incarnation in 1..=300 {
+        child.order(GRANT);
+        widow.tell(boom("again")).unwrap();
         settle().await;
-        let before = (watchers(&arm), watchers(&widow), Arc::strong_count(&widow.0));
-        // Its variables' store hears of the widow's end with no watch of its own.
-        assert_eq!((before.0, before.1), (1, 1));
-        assert_eq!(stage.environment.feature::<VariableStore>().watchers(), 1);
+        assert_eq!(widow.incarnation(), Incarnation(incarnation + 1));
+    }
 
-        for incarnation in 1..=300 {
-            child.order(GRANT);
-            widow.tell(boom("again")).unwrap();
-            settle().await;
-            assert_eq!(widow.incarnation(), Incarnation(incarnation + 1));
-        }
-
-        let after = (watchers(&arm), watchers(&widow), Arc::strong_count(&widow.0));
-        assert_eq!(after, before, "watches, and what holds the component");
-        assert_eq!(stage.environment.feature::<VariableStore>().watchers(), 1);
-        let reported = interest.lock().unwrap().clone();
-        assert_eq!(reported, ["Born"], "one interest for all incarnations");
-        assert_eq!(stage.environment.feature::<Topics>().listened().len(), 1);
-    });
+    let after = (watchers(&arm), watchers(&widow), Arc::strong_count(&widow.0));
+    assert_eq!(after, before, "watches, and what holds the component");
+    assert_eq!(stage.environment.feature::<VariableStore>().watchers(), 1);
+    let reported = interest.lock().unwrap().clone();
+    assert_eq!(reported, ["Born"], "one interest for all incarnations");
+    assert_eq!(stage.environment.feature::<Topics>().listened().len(), 1);
 }
 
 /// Watches these two when it is told to.
@@ -246,69 +238,63 @@ impl Handle<Down> for Mate {
     async fn handle(&mut self, _: Down, _: &mut Context<Self>) {}
 }
 
-#[test]
-fn two_that_watch_each_other_do_not_keep_each_other() {
-    paused(async {
-        let stage = Stage::new();
-        let spec = |name| ChildSpec::new(name, || Mate(["one", "two"]));
-        let (one, first) = stage.start(spec("one")).await;
-        let (two, second) = stage.start(spec("two")).await;
-        first.tell(Born(1)).unwrap();
-        second.tell(Born(1)).unwrap();
-        settle().await;
-        assert_eq!((watchers(&first), watchers(&second)), (2, 2));
-        let kept = (Arc::downgrade(&first.0), Arc::downgrade(&second.0));
-        drop((first, second));
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn two_that_watch_each_other_do_not_keep_each_other() {
+    let stage = Stage::new();
+    let spec = |name| ChildSpec::new(name, || Mate(["one", "two"]));
+    let (one, first) = stage.start(spec("one")).await;
+    let (two, second) = stage.start(spec("two")).await;
+    first.tell(Born(1)).unwrap();
+    second.tell(Born(1)).unwrap();
+    settle().await;
+    assert_eq!((watchers(&first), watchers(&second)), (2, 2));
+    let kept = (Arc::downgrade(&first.0), Arc::downgrade(&second.0));
+    drop((first, second));
 
-        drop(one);
-        drop(two);
-        settle().await;
+    drop(one);
+    drop(two);
+    settle().await;
 
-        assert_eq!((kept.0.strong_count(), kept.1.strong_count()), (0, 0));
-    });
+    assert_eq!((kept.0.strong_count(), kept.1.strong_count()), (0, 0));
 }
 
-#[test]
-fn a_watch_is_of_a_name_and_of_each_object_that_has_it() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, reported) = widow("widow", &["arm"]);
-        let _widow = stage.start(spec).await;
-        settle().await;
-        assert_eq!(taken(&reported), [Received::Down("arm".into(), 0, DownReason::Unknown)]);
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_watch_is_of_a_name_and_of_each_object_that_has_it() {
+    let stage = Stage::new();
+    let (spec, reported) = widow("widow", &["arm"]);
+    let _widow = stage.start(spec).await;
+    settle().await;
+    assert_eq!(taken(&reported), [Received::Down("arm".into(), 0, DownReason::Unknown)]);
 
-        for _ in 0..2 {
-            let (child, arm) = stage.start::<Acc>(acc("arm").0).await;
-            arm.tell(boom("x")).unwrap();
-            stage.reports.wait(|report| report.object == *child.name()).await;
-            let told = taken(&reported);
-            let panicked = |down: &Received| matches!(down, Received::Down(of, 1, DownReason::Panicked { .. }) if of == "arm");
-            assert!(told.iter().all(panicked) && told.len() == 1, "{told:?}");
-            drop(child);
-            settle().await;
-            taken(&reported);
-        }
-    });
+    for _ in 0..2 {
+        let (child, arm) = stage.start::<Acc>(acc("arm").0).await;
+        arm.tell(boom("x")).unwrap();
+        stage.reports.wait(|report| report.object == *child.name()).await;
+        let told = taken(&reported);
+        let panicked = |down: &Received| matches!(down, Received::Down(of, 1, DownReason::Panicked { .. }) if of == "arm");
+        assert!(told.iter().all(panicked) && told.len() == 1, "{told:?}");
+        drop(child);
+        settle().await;
+        taken(&reported);
+    }
 }
 
-#[test]
-fn a_sender_by_name_reaches_the_component_that_has_the_name_and_a_reference_means_one() {
-    paused(async {
-        let stage = Stage::new();
-        let (first, arm) = stage.start::<Acc>(acc("arm").0).await;
-        let by_name = stage.environment.registry.sender::<Add>("arm").unwrap();
-        assert_eq!(by_name.ask(Add(1)).await, Ok(1));
-        drop(first);
-        assert_eq!(by_name.tell(Add(1)).unwrap_err().kind, DeliveryError::Stopped, "none has it");
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_sender_by_name_reaches_the_component_that_has_the_name_and_a_reference_means_one() {
+    let stage = Stage::new();
+    let (first, arm) = stage.start::<Acc>(acc("arm").0).await;
+    let by_name = stage.environment.registry.sender::<Add>("arm").unwrap();
+    assert_eq!(by_name.ask(Add(1)).await, Ok(1));
+    drop(first);
+    assert_eq!(by_name.tell(Add(1)).unwrap_err().kind, DeliveryError::Stopped, "none has it");
 
-        let (_second, _) = stage.start::<Acc>(acc("arm").0).await;
+    let (_second, _) = stage.start::<Acc>(acc("arm").0).await;
 
-        by_name.tell(Add(2)).unwrap();
-        by_name.deliver(Add(3)).await.unwrap();
-        assert_eq!(by_name.ask(Add(4)).await, Ok(9));
-        assert_eq!(arm.tell(Add(1)).unwrap_err().kind, DeliveryError::Stopped);
-        assert_eq!(arm.ask(Add(1)).await.unwrap_err().kind, DeliveryError::Stopped);
-        let of_the_first = arm.sender::<Add>().tell(Add(1)).unwrap_err();
-        assert_eq!((of_the_first.kind, of_the_first.message), (DeliveryError::Stopped, Add(1)));
-    });
+    by_name.tell(Add(2)).unwrap();
+    by_name.deliver(Add(3)).await.unwrap();
+    assert_eq!(by_name.ask(Add(4)).await, Ok(9));
+    assert_eq!(arm.tell(Add(1)).unwrap_err().kind, DeliveryError::Stopped);
+    assert_eq!(arm.ask(Add(1)).await.unwrap_err().kind, DeliveryError::Stopped);
+    let of_the_first = arm.sender::<Add>().tell(Add(1)).unwrap_err();
+    assert_eq!((of_the_first.kind, of_the_first.message), (DeliveryError::Stopped, Add(1)));
 }

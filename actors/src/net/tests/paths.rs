@@ -50,30 +50,29 @@ fn mtu(left: &[blastema_core::net::Route]) -> u16 {
     left[0].mtu
 }
 
-#[test]
-fn a_path_that_becomes_smaller_resets_no_session_and_the_fault_ends_when_it_is_as_large_again() {
-    paused(async {
-        let (robot, left, right) = pair_over(CONFIGURED).await;
-        mirror(&left, 3_000, 5).await;
-        assert_eq!(condition(&left), LinkCondition::Up);
-        assert_eq!(mtu(&left.net.read_routes().await.routes), 1_472);
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_path_that_becomes_smaller_resets_no_session_and_the_fault_ends_when_it_is_as_large_again()
+ {
+    let (robot, left, right) = pair_over(CONFIGURED).await;
+    mirror(&left, 3_000, 5).await;
+    assert_eq!(condition(&left), LinkCondition::Up);
+    assert_eq!(mtu(&left.net.read_routes().await.routes), 1_472);
 
-        drop_above(&robot, 1_300);
-        mirror(&left, 3_000, 5).await;
-        mirror(&left, 100_000, 1).await;
-        advance(3_000 * MS).await;
+    drop_above(&robot, 1_300);
+    mirror(&left, 3_000, 5).await;
+    mirror(&left, 100_000, 1).await;
+    advance(3_000 * MS).await;
 
-        let LinkCondition::Degraded { reason } = condition(&left) else { panic!("no fault") };
-        assert!(reason.contains("mtu=1293"), "{reason}");
-        for module in [&left, &right] {
-            assert_eq!(module.host.dead_letters.counts(), []);
-            assert_eq!(module.declared.drain(), []);
-        }
-        drop_above(&robot, 0);
-        advance(590_000 * MS).await;
-        assert_eq!(left.links.drain(), []);
-        advance(15_000 * MS).await;
-        assert_eq!(condition(&left), LinkCondition::Up);
-        assert_eq!(mtu(&left.net.read_routes().await.routes), 1_472);
-    });
+    let LinkCondition::Degraded { reason } = condition(&left) else { panic!("no fault") };
+    assert!(reason.contains("mtu=1293"), "{reason}");
+    for module in [&left, &right] {
+        assert_eq!(module.host.dead_letters.counts(), []);
+        assert_eq!(module.declared.drain(), []);
+    }
+    drop_above(&robot, 0);
+    advance(590_000 * MS).await;
+    assert_eq!(left.links.drain(), []);
+    advance(15_000 * MS).await;
+    assert_eq!(condition(&left), LinkCondition::Up);
+    assert_eq!(mtu(&left.net.read_routes().await.routes), 1_472);
 }

@@ -128,78 +128,72 @@ async fn live(module: &Module, spec: ChildSpec<impl Component>) -> Box<dyn Child
     child
 }
 
-#[test]
-fn messages_requests_and_events_of_earlier_releases_are_converted_by_the_receiver() {
-    paused(async {
-        let (_robot, left, right) = pair().await;
-        let log = Log::default();
-        let kept = log.clone();
-        let _wheels = live(&right, ChildSpec::new("wheels", move || Wheels(kept.clone()))).await;
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn messages_requests_and_events_of_earlier_releases_are_converted_by_the_receiver() {
+    let (_robot, left, right) = pair().await;
+    let log = Log::default();
+    let kept = log.clone();
+    let _wheels = live(&right, ChildSpec::new("wheels", move || Wheels(kept.clone()))).await;
 
-        let granted = left.sender::<one::Limit>("right:wheels").ask(one::Limit(700)).await;
-        assert_eq!(granted.unwrap(), 350, "there and back");
+    let granted = left.sender::<one::Limit>("right:wheels").ask(one::Limit(700)).await;
+    assert_eq!(granted.unwrap(), 350, "there and back");
 
-        left.sender("right:wheels").tell(one::Speed { mm_per_s: 1 }).unwrap();
-        left.sender("right:wheels").tell(two::Speed { forward: 0.002 }).unwrap();
-        let now = three::Speed { forward: 0.0, sideways: 3.0 };
-        left.sender("right:wheels").tell(now).unwrap();
-        advance(50 * MS).await;
-        assert_eq!(log.take(), [1, 2, 3]);
+    left.sender("right:wheels").tell(one::Speed { mm_per_s: 1 }).unwrap();
+    left.sender("right:wheels").tell(two::Speed { forward: 0.002 }).unwrap();
+    let now = three::Speed { forward: 0.0, sideways: 3.0 };
+    left.sender("right:wheels").tell(now).unwrap();
+    advance(50 * MS).await;
+    assert_eq!(log.take(), [1, 2, 3]);
 
-        let old = left.host.feature::<Topics>().publisher::<one::Speed>("speed").unwrap();
-        old.publish(one::Speed { mm_per_s: 4 }).unwrap();
-        old.publish(one::Speed { mm_per_s: 5 }).unwrap();
-        advance(50 * MS).await;
-        assert_eq!(log.take(), [4, 5]);
-        assert_eq!(left.declared.drain().len() + right.declared.drain().len(), 0);
-    });
+    let old = left.host.feature::<Topics>().publisher::<one::Speed>("speed").unwrap();
+    old.publish(one::Speed { mm_per_s: 4 }).unwrap();
+    old.publish(one::Speed { mm_per_s: 5 }).unwrap();
+    advance(50 * MS).await;
+    assert_eq!(log.take(), [4, 5]);
+    assert_eq!(left.declared.drain().len() + right.declared.drain().len(), 0);
 }
 
-#[test]
-fn a_topic_that_is_known_before_anybody_listens_is_settled_at_once() {
-    paused(async {
-        let (_robot, left, right) = pair().await;
-        let old = left.host.feature::<Topics>().publisher::<one::Speed>("speed").unwrap();
-        let log = Log::default();
-        let kept = log.clone();
-        let _wheels = live(&right, ChildSpec::new("wheels", move || Wheels(kept.clone()))).await;
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_topic_that_is_known_before_anybody_listens_is_settled_at_once() {
+    let (_robot, left, right) = pair().await;
+    let old = left.host.feature::<Topics>().publisher::<one::Speed>("speed").unwrap();
+    let log = Log::default();
+    let kept = log.clone();
+    let _wheels = live(&right, ChildSpec::new("wheels", move || Wheels(kept.clone()))).await;
 
-        old.publish(one::Speed { mm_per_s: 4 }).unwrap();
-        advance(50 * MS).await;
+    old.publish(one::Speed { mm_per_s: 4 }).unwrap();
+    advance(50 * MS).await;
 
-        assert_eq!(log.take(), [4]);
-    });
+    assert_eq!(log.take(), [4]);
 }
 
-#[test]
-fn who_is_older_than_the_sender_is_refused_with_the_difference_on_both_sides() {
-    paused(async {
-        let (_robot, left, right) = pair().await;
-        let log = Log::default();
-        let kept = log.clone();
-        let _old = live(&right, ChildSpec::new("old", move || Old(kept.clone()))).await;
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn who_is_older_than_the_sender_is_refused_with_the_difference_on_both_sides() {
+    let (_robot, left, right) = pair().await;
+    let log = Log::default();
+    let kept = log.clone();
+    let _old = live(&right, ChildSpec::new("old", move || Old(kept.clone()))).await;
 
-        let new = left.host.feature::<Topics>().publisher::<two::Speed>("speed").unwrap();
-        for _ in 0..3 {
-            new.publish(two::Speed { forward: 1.0 }).unwrap();
-        }
-        left.sender("right:old").tell(two::Speed { forward: 1.0 }).unwrap();
-        advance(50 * MS).await;
+    let new = left.host.feature::<Topics>().publisher::<two::Speed>("speed").unwrap();
+    for _ in 0..3 {
+        new.publish(two::Speed { forward: 1.0 }).unwrap();
+    }
+    left.sender("right:old").tell(two::Speed { forward: 1.0 }).unwrap();
+    advance(50 * MS).await;
 
-        assert_eq!(log.take(), [0; 0]);
-        for module in [&left, &right] {
-            let declared = module.declared.drain();
-            assert!(declared.len() >= 2, "{declared:?}");
-            for fault in declared {
-                assert_eq!(fault.kind, FaultKind::ContractMismatch);
-                let detail = fault.detail;
-                assert!(detail.contains("version") && detail.contains("forward"), "{detail}");
-            }
+    assert_eq!(log.take(), [0; 0]);
+    for module in [&left, &right] {
+        let declared = module.declared.drain();
+        assert!(declared.len() >= 2, "{declared:?}");
+        for fault in declared {
+            assert_eq!(fault.kind, FaultKind::ContractMismatch);
+            let detail = fault.detail;
+            assert!(detail.contains("version") && detail.contains("forward"), "{detail}");
         }
-        let speed = ObjectName::new("speed").unwrap();
-        let lost = left.host.dead_letters.count(&speed, DeadReason::ContractDiffers);
-        assert_eq!((lost, new.matched()), (0, 0), "it is no listener, and misses nothing");
-    });
+    }
+    let speed = ObjectName::new("speed").unwrap();
+    let lost = left.host.dead_letters.count(&speed, DeadReason::ContractDiffers);
+    assert_eq!((lost, new.matched()), (0, 0), "it is no listener, and misses nothing");
 }
 
 /// The first release of what cannot convert thirteen.
@@ -284,54 +278,52 @@ impl Handle<frail_two::Brittle> for Glass {
     }
 }
 
-#[test]
-fn a_conversion_that_panics_is_the_receivers_fault_and_costs_that_message_alone() {
-    paused(async {
-        let (_robot, left, right) = pair().await;
-        let log = Log::default();
-        let kept = log.clone();
-        let _glass = live(&right, ChildSpec::new("glass", move || Glass(kept.clone()))).await;
-        let glass = left.sender::<frail_one::Frail>("right:glass");
-        let brittle = left.sender::<frail_one::Brittle>("right:glass");
-        let topic = left.host.feature::<Topics>().publisher::<frail_one::Frail>("frail").unwrap();
+#[blastema_macros::test(crate = "blastema_doubles")]
+async fn a_conversion_that_panics_is_the_receivers_fault_and_costs_that_message_alone() {
+    let (_robot, left, right) = pair().await;
+    let log = Log::default();
+    let kept = log.clone();
+    let _glass = live(&right, ChildSpec::new("glass", move || Glass(kept.clone()))).await;
+    let glass = left.sender::<frail_one::Frail>("right:glass");
+    let brittle = left.sender::<frail_one::Brittle>("right:glass");
+    let topic = left.host.feature::<Topics>().publisher::<frail_one::Frail>("frail").unwrap();
 
-        [1, 13, 2].into_iter().for_each(|n| glass.tell(frail_one::Frail(n)).unwrap());
-        advance(50 * MS).await;
-        [3, 13, 4].into_iter().for_each(|n| topic.publish(frail_one::Frail(n)).unwrap());
-        advance(50 * MS).await;
-        assert_eq!(log.take(), [1, 2, 3, 4]);
-        // Often enough for a fault of the sender's node, if it were its mistake.
-        for _ in 0..6 {
-            let refused = brittle.ask(frail_one::Brittle(13)).await.unwrap_err().kind;
-            let DeliveryError::CheckFailed { reason } = &refused else { panic!("{refused}") };
-            assert!(reason.contains("versions.rs"), "{reason}");
-        }
-        let refused = brittle.ask(frail_one::Brittle(14)).await.unwrap_err().kind;
-        let text = refused.to_string();
-        for part in [
-            "the request took effect, but its reply cannot be sent: the conversion of a reply to brittle panicked at",
-            "versions.rs",
-        ] {
-            assert!(text.contains(part), "{text}");
-        }
-        assert_eq!(refused.outcome(), blastema_core::Outcome::TookEffect);
-        assert_eq!(brittle.ask(frail_one::Brittle(5)).await, Ok(5));
+    [1, 13, 2].into_iter().for_each(|n| glass.tell(frail_one::Frail(n)).unwrap());
+    advance(50 * MS).await;
+    [3, 13, 4].into_iter().for_each(|n| topic.publish(frail_one::Frail(n)).unwrap());
+    advance(50 * MS).await;
+    assert_eq!(log.take(), [1, 2, 3, 4]);
+    // Often enough for a fault of the sender's node, if it were its mistake.
+    for _ in 0..6 {
+        let refused = brittle.ask(frail_one::Brittle(13)).await.unwrap_err().kind;
+        let DeliveryError::CheckFailed { reason } = &refused else { panic!("{refused}") };
+        assert!(reason.contains("versions.rs"), "{reason}");
+    }
+    let refused = brittle.ask(frail_one::Brittle(14)).await.unwrap_err().kind;
+    let text = refused.to_string();
+    for part in [
+        "the request took effect, but its reply cannot be sent: the conversion of a reply to brittle panicked at",
+        "versions.rs",
+    ] {
+        assert!(text.contains(part), "{text}");
+    }
+    assert_eq!(refused.outcome(), blastema_core::Outcome::TookEffect);
+    assert_eq!(brittle.ask(frail_one::Brittle(5)).await, Ok(5));
 
-        assert!(right.exits.drain().is_empty(), "nothing of the middleware died");
-        let declared = right.declared.drain();
-        assert_eq!(declared.len(), 8, "{declared:?}");
-        let blamed = |report: &NodeReported| {
-            matches!(report.condition, NodeCondition::Offends { .. }).then(|| report.node.clone())
-        };
-        assert_eq!(right.nodes.drain().iter().filter_map(blamed).next(), None);
-        for fault in declared {
-            assert_eq!(fault.object.as_str(), "glass");
-            assert_eq!(fault.kind, FaultKind::CheckFailed);
-        }
-        let count = |name| {
-            let name = ObjectName::new(name).unwrap();
-            right.host.dead_letters.count(&name, DeadReason::Refused)
-        };
-        assert_eq!((count("glass"), count("frail")), (7, 1));
-    });
+    assert!(right.exits.drain().is_empty(), "nothing of the middleware died");
+    let declared = right.declared.drain();
+    assert_eq!(declared.len(), 8, "{declared:?}");
+    let blamed = |report: &NodeReported| {
+        matches!(report.condition, NodeCondition::Offends { .. }).then(|| report.node.clone())
+    };
+    assert_eq!(right.nodes.drain().iter().filter_map(blamed).next(), None);
+    for fault in declared {
+        assert_eq!(fault.object.as_str(), "glass");
+        assert_eq!(fault.kind, FaultKind::CheckFailed);
+    }
+    let count = |name| {
+        let name = ObjectName::new(name).unwrap();
+        right.host.dead_letters.count(&name, DeadReason::Refused)
+    };
+    assert_eq!((count("glass"), count("frail")), (7, 1));
 }

@@ -125,10 +125,7 @@ impl NodeHistories {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn node(name: &str) -> NodeName {
-        NodeName::new(name).expect("a good name")
-    }
+    use crate::testing::node;
 
     fn at(second: u64) -> Instant {
         Instant::from_millis(second * 1000)

@@ -10,23 +10,12 @@ use crate::detection::{
     ConfirmedQueueOutput, ExitReason, FaultStatus, Finding, LinkCondition, NodeCondition, Notifier,
     OverloadFigures, RecovererPort,
 };
+use crate::testing::{at, node, object};
 use crate::{ObjectAddress, Severity};
 use std::sync::Arc;
 
 const ONE: Incarnation = Incarnation(1);
 const TWO: Incarnation = Incarnation(2);
-
-fn at(millis: u64) -> Instant {
-    Instant::from_millis(millis)
-}
-
-fn object(name: &str) -> ObjectName {
-    ObjectName::new(name).expect("a name")
-}
-
-fn node(name: &str) -> NodeName {
-    NodeName::new(name).expect("a name")
-}
 
 /// A place as it is written: `arm` is an object here, `n:arm` one there, `-eth-n` a link to n, `@n`
 /// a node.

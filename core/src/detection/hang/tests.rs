@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::Incarnation;
+use crate::testing::{at, object as name};
 use std::sync::Arc;
 
 /// An event of a component of which this was found.
@@ -12,14 +13,6 @@ macro_rules! found {
 }
 
 const HOME: ArbiterId = 7;
-
-fn name(text: &str) -> ObjectName {
-    ObjectName::new(text).unwrap()
-}
-
-fn at(millis: u64) -> Instant {
-    Instant::from_millis(millis)
-}
 
 fn ms(millis: u64) -> Duration {
     Duration::from_millis(millis)

@@ -3,24 +3,13 @@
 use super::*;
 use crate::detection::hang::LivenessEvent;
 use crate::detection::{CurrentHandler, Opinion, OverloadFigures};
+use crate::testing::{at, node, object};
 use std::time::Duration;
 
 const ONE: Incarnation = Incarnation(1);
 const TWO: Incarnation = Incarnation(2);
 const THREE: Incarnation = Incarnation(3);
 const TENTH: Duration = Duration::from_millis(100);
-
-fn at(millis: u64) -> Instant {
-    Instant::from_millis(millis)
-}
-
-fn object(name: &str) -> ObjectName {
-    ObjectName::new(name).expect("a name")
-}
-
-fn node(name: &str) -> NodeName {
-    NodeName::new(name).expect("a name")
-}
 
 fn monitor() -> Monitor {
     Monitor::new(node("m"))

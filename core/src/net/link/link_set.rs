@@ -153,14 +153,11 @@ impl Machine for LinkSet {
 mod tests {
     use super::*;
     use crate::net::link::LinkConfig;
+    use crate::testing::at;
     use crate::{Incarnation, NodeName};
 
     fn name(number: u16) -> NodeName {
         NodeName::new(&format!("m{number}")).unwrap()
-    }
-
-    fn at(millis: u64) -> Instant {
-        Instant::from_millis(millis)
     }
 
     #[test]

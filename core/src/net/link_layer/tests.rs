@@ -1,6 +1,7 @@
 //! Two nodes on one medium, whose links are sealed, and what others do on that medium.
 
 use super::*;
+use crate::testing::at;
 
 mod connections;
 mod dialing_in;
@@ -23,10 +24,6 @@ impl LinkAddress for Address {
 }
 
 const LINK: LinkId = LinkId(7);
-
-fn at(millis: u64) -> Instant {
-    Instant::from_millis(millis)
-}
 
 fn name(node: usize) -> NodeName {
     NodeName::new(["left", "right"][node]).unwrap()

@@ -51,12 +51,9 @@ fn offset(timestamp_us: u64, now: Instant) -> i64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing::at;
 
     const MS: u64 = 1000;
-
-    fn at(millis: u64) -> Instant {
-        Instant::from_millis(millis)
-    }
 
     #[test]
     fn what_waited_on_the_way_is_that_much_older() {

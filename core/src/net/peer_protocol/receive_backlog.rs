@@ -146,13 +146,10 @@ impl<T> Default for PeerBacklog<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing::object;
 
     const PEER: NodeId = NodeId(1);
     const OTHER: NodeId = NodeId(2);
-
-    fn object(name: &str) -> ObjectName {
-        ObjectName::new(name).unwrap()
-    }
 
     fn fill(backlog: &mut ReceiveBacklog<usize>, bytes: usize) -> usize {
         let arm = object("arm");

@@ -11,17 +11,10 @@ use super::*;
 use crate::net::link::Neighbour;
 use crate::net::wire::advertisement::Edge;
 use crate::net::wire::packet::{Packet, PacketPriority, Payload, UndeliveredReason};
+use crate::testing::{at, node as named};
 
 const FIRST: LinkId = LinkId(0);
 const SECOND: LinkId = LinkId(1);
-
-fn at(millis: u64) -> Instant {
-    Instant::from_millis(millis)
-}
-
-fn named(name: &str) -> NodeName {
-    NodeName::new(name).unwrap()
-}
 
 fn id(name: &str) -> NodeId {
     NodeId::of(&named(name))

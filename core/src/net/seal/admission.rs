@@ -93,10 +93,7 @@ impl Hasher for HashedBytes {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn at(millis: u64) -> Instant {
-        Instant::from_millis(millis)
-    }
+    use crate::testing::at;
 
     #[test]
     fn the_last_64_of_a_peer_and_256_of_all_are_remembered() {

@@ -1,6 +1,7 @@
 //! Two nodes and what an attacker on their medium does, with the product's cryptography.
 
 use super::*;
+use crate::testing::at;
 
 mod attacks;
 mod keys;
@@ -9,10 +10,6 @@ const LEFT: NodeId = NodeId(1);
 const RIGHT: NodeId = NodeId(2);
 
 type End = Sealer<NoiseCrypto, u32>;
-
-fn at(millis: u64) -> Instant {
-    Instant::from_millis(millis)
-}
 
 fn secret(node: NodeId) -> [u8; 32] {
     [node.0 as u8 + 0x10; 32]

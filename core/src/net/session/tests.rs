@@ -8,18 +8,10 @@ mod paths;
 mod settling;
 
 use super::*;
-use crate::NodeName;
 use crate::net::wire::segment::{Ack, DelayTicks, OpenSegment};
+use crate::testing::{at, node as named};
 
 const MS: Duration = Duration::from_millis(1);
-
-fn at(millis: u64) -> Instant {
-    Instant::from_millis(millis)
-}
-
-fn named(name: &str) -> NodeName {
-    NodeName::new(name).unwrap()
-}
 
 fn config(node: &str, incarnation: u64, peer: &str) -> SessionConfig {
     SessionConfig::new(named(node), Incarnation(incarnation), named(peer))

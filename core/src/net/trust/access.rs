@@ -302,10 +302,7 @@ mod tests {
     use super::*;
     use crate::net::trust::crypto::Seed;
     use crate::net::trust::roster::RosterNode;
-
-    fn name(text: &str) -> NodeName {
-        NodeName::new(text).expect("a name")
-    }
+    use crate::testing::node as name;
 
     fn id(text: &str) -> NodeId {
         NodeId::of(&name(text))

@@ -129,6 +129,7 @@ mod tests {
     use super::*;
     use crate::net::trust::policy::Role;
     use crate::net::trust::roster::RosterNode;
+    use crate::testing::at;
 
     fn name(node: usize) -> NodeName {
         NodeName::new(&format!("node{node}")).expect("a name")
@@ -154,10 +155,6 @@ mod tests {
 
     fn keys(node: usize, roster: &NodeRoster) -> BeaconKeys {
         BeaconKeys::new(&seed(node), roster, &name(node))
-    }
-
-    fn at(millis: u64) -> Instant {
-        Instant::from_millis(millis)
     }
 
     #[test]

@@ -48,6 +48,10 @@ fn works(incarnation: u64) -> Result<RecoveryDone, RecoveryFailed> {
     Ok(RecoveryDone { incarnation: Some(Incarnation(incarnation)), ..RecoveryDone::default() })
 }
 
+fn done() -> Result<RecoveryDone, RecoveryFailed> {
+    Ok(RecoveryDone::default())
+}
+
 fn fails() -> Result<RecoveryDone, RecoveryFailed> {
     Err("broken".into())
 }
@@ -197,7 +201,7 @@ fn the_ladder_is_climbed_with_back_off_until_safe_stop_holds() {
     assert_eq!(rig.pass_to_due(), ["#3 restart here:laser against panic, 3"]);
     assert_eq!(rig.outcome(3, fails()), ["#4 safe stop here:laser against panic, 1"]);
     assert_eq!(
-        rig.outcome(4, Ok(RecoveryDone::default())),
+        rig.outcome(4, done()),
         ["1 given up: contained by safe stop; service is not restored"]
     );
 }
@@ -214,7 +218,7 @@ fn a_step_that_is_refused_for_good_is_not_tried_again() {
 
         assert_eq!(rig.outcome(1, Err(refused)), ["#2 safe stop here:laser against panic, 1"]);
         assert_eq!(
-            rig.outcome(2, Ok(RecoveryDone::default())),
+            rig.outcome(2, done()),
             ["1 given up: contained by safe stop; service is not restored"]
         );
     }
@@ -277,11 +281,11 @@ fn an_error_state_is_reset_first_and_restarted_when_it_comes_back() {
     let error = |id| fault(id, FaultKind::ErrorState, at("arm"), 1);
 
     assert_eq!(rig.find(error(1)), ["#1 reset here:arm against error state, 1"]);
-    assert_eq!(rig.outcome(1, Ok(RecoveryDone::default())), ["1 recovered"]);
+    assert_eq!(rig.outcome(1, done()), ["1 recovered"]);
     assert_eq!(rig.find(error(2)), ["#2 restart here:arm against error state, 1"]);
     assert_eq!(rig.outcome(2, works(2)), ["2 recovered"]);
     assert_eq!(rig.find(error(3)), ["#3 reset here:arm against error state, 1"]);
-    rig.outcome(3, Ok(RecoveryDone::default()));
+    rig.outcome(3, done());
     rig.pass(Duration::from_secs(11));
     assert_eq!(rig.find(error(4)), ["#4 reset here:arm against error state, 1"]);
 }
@@ -302,10 +306,7 @@ fn a_fault_that_the_action_cannot_have_cured_is_treated_next() {
     rig.find(fault(1, FaultKind::ErrorState, at("arm"), 1));
     rig.find(panic_of(2, "arm", 1));
 
-    assert_eq!(
-        rig.outcome(1, Ok(RecoveryDone::default())),
-        ["1 recovered", "#2 restart here:arm against panic, 1"]
-    );
+    assert_eq!(rig.outcome(1, done()), ["1 recovered", "#2 restart here:arm against panic, 1"]);
 
     rig.find(fault(3, FaultKind::Hang, at("arm"), 2));
     assert_eq!(rig.outcome(2, works(2)), ["2 recovered", "#3 restart here:arm against hang, 1"]);
@@ -434,7 +435,7 @@ fn faults_of_other_nodes_are_left_to_them_unless_the_plan_takes_over() {
         rig.find(fault(1, FaultKind::Panic, there, 1)),
         ["#1 take over there:laser against panic, 1"]
     );
-    assert_eq!(rig.outcome(1, Ok(RecoveryDone::default())), [""; 0]);
+    assert_eq!(rig.outcome(1, done()), [""; 0]);
 }
 
 #[test]
@@ -444,7 +445,7 @@ fn isolation_contains_and_does_not_recover() {
     rig.find(fault(1, FaultKind::CheckFailed, at("gps"), 1));
 
     assert_eq!(
-        rig.outcome(1, Ok(RecoveryDone::default())),
+        rig.outcome(1, done()),
         ["1 given up: contained by isolate; service is not restored"]
     );
 }
@@ -512,9 +513,9 @@ fn a_custom_strategy_is_called_by_name_and_not_for_ever() {
     let check = |id| fault(id, FaultKind::CheckFailed, at("arm"), 1);
 
     assert_eq!(rig.find(check(1)), ["#1 homing here:arm against check failed, 1"]);
-    rig.outcome(1, Ok(RecoveryDone::default()));
+    rig.outcome(1, done());
     assert_eq!(rig.find(check(2)), ["#2 homing here:arm against check failed, 2"]);
-    rig.outcome(2, Ok(RecoveryDone::default()));
+    rig.outcome(2, done());
     assert_eq!(
         rig.find(check(3)),
         [

@@ -9,8 +9,10 @@ mod states;
 mod strategies;
 mod unavailable;
 
+use super::ReplacementCause::{Asked, Behind, Died, Faulty, Stuck};
 use super::*;
 use crate::recovery::{Restart, Strategy, WhenExceeded};
+use crate::testing::object;
 use std::time::Duration;
 
 const MINUTE: Duration = Duration::from_secs(60);
@@ -19,10 +21,6 @@ struct Rig {
     machine: Supervisor,
     now: Instant,
     calls: u64,
-}
-
-fn name(text: &str) -> ObjectName {
-    ObjectName::new(text).expect("a good name")
 }
 
 fn permanent() -> ChildRules {
@@ -52,7 +50,7 @@ impl Rig {
         let mut machine = Supervisor::new(rules);
         let now = Instant::from_millis(1000);
         for (child, rules) in children {
-            machine.add_child(name(child), *rules, now).expect("a free name");
+            machine.add_child(object(child), *rules, now).expect("a free name");
         }
         Rig { machine, now, calls: 0 }
     }
@@ -60,12 +58,17 @@ impl Rig {
     /// Three permanent children at work.
     fn serving(strategy: Strategy) -> Self {
         let children = ["a", "b", "c"].map(|child| (child, permanent()));
-        let mut rig = Rig::with(strategy, 3, &children);
-        rig.begin();
-        for child in ["a", "b", "c"] {
-            rig.started(child, 1);
+        Rig::with(strategy, 3, &children).at_work()
+    }
+
+    /// Its children have all begun their first incarnation.
+    fn at_work(mut self) -> Self {
+        self.begin();
+        let children: Vec<_> = self.machine.children().map(|child| child.name.clone()).collect();
+        for child in children {
+            self.started(child.as_str(), 1);
         }
-        rig
+        self
     }
 
     fn outputs(&mut self) -> Vec<String> {
@@ -132,19 +135,19 @@ impl Rig {
     fn restart(&mut self, child: &str, cause: ReplacementCause, incarnation: u64) -> Vec<String> {
         let call = self.call();
         let faulty = Some(Incarnation(incarnation));
-        self.machine.handle_restart(&name(child), call, cause, faulty, self.now);
+        self.machine.handle_restart(&object(child), call, cause, faulty, self.now);
         self.outputs()
     }
 
     fn restart_by_hand(&mut self, child: &str) -> Vec<String> {
         let call = self.call();
-        self.machine.handle_restart(&name(child), call, ReplacementCause::Asked, None, self.now);
+        self.machine.handle_restart(&object(child), call, Asked, None, self.now);
         self.outputs()
     }
 
     fn reset(&mut self, child: &str) -> Vec<String> {
         let call = self.call();
-        self.machine.handle_reset(&name(child), call, self.now);
+        self.machine.handle_reset(&object(child), call, self.now);
         self.outputs()
     }
 
@@ -168,59 +171,64 @@ impl Rig {
         outcome: Result<(), &str>,
     ) -> Vec<String> {
         let outcome = outcome.map_err(Into::into);
-        self.machine.handle_reset_done(&name(child), Incarnation(incarnation), outcome, self.now);
+        self.machine.handle_reset_done(&object(child), Incarnation(incarnation), outcome, self.now);
         self.outputs()
     }
 
     fn rest(&mut self, child: &str, cause: ReplacementCause) -> Vec<String> {
         let call = self.call();
-        self.machine.handle_rest(&name(child), call, cause, self.now);
+        self.machine.handle_rest(&object(child), call, cause, self.now);
         self.outputs()
     }
 
     fn isolate(&mut self, child: &str, isolated: bool) -> Vec<String> {
         let call = self.call();
-        self.machine.handle_isolate(&name(child), None, isolated, call, self.now);
+        self.machine.handle_isolate(&object(child), None, isolated, call, self.now);
         self.outputs()
     }
 
     fn isolate_struck(&mut self, child: &str, incarnation: u64) -> Vec<String> {
         let (call, faulty) = (self.call(), Some(Incarnation(incarnation)));
-        self.machine.handle_isolate(&name(child), faulty, true, call, self.now);
+        self.machine.handle_isolate(&object(child), faulty, true, call, self.now);
         self.outputs()
     }
 
     fn add(&mut self, child: &str, rules: ChildRules) -> Vec<String> {
         let call = self.call();
-        self.machine.handle_add(&name(child), rules, call, self.now);
+        self.machine.handle_add(&object(child), rules, call, self.now);
         self.outputs()
     }
 
     fn remove(&mut self, child: &str) -> Vec<String> {
         let call = self.call();
-        self.machine.handle_remove(&name(child), call, self.now);
+        self.machine.handle_remove(&object(child), call, self.now);
         self.outputs()
     }
 
     fn started(&mut self, child: &str, incarnation: u64) -> Vec<String> {
-        self.machine.handle_started(&name(child), Incarnation(incarnation), self.now);
+        self.machine.handle_started(&object(child), Incarnation(incarnation), self.now);
         self.outputs()
     }
 
     fn unavailable(&mut self, child: &str, incarnation: u64) -> Vec<String> {
         let reason = "no device".into();
-        self.machine.handle_unavailable(&name(child), Incarnation(incarnation), reason, self.now);
+        self.machine.handle_unavailable(&object(child), Incarnation(incarnation), reason, self.now);
         self.outputs()
     }
 
     fn fails_to_start(&mut self, child: &str, incarnation: u64) -> Vec<String> {
-        self.machine.handle_fails_to_start(&name(child), Incarnation(incarnation), self.now);
+        self.machine.handle_fails_to_start(&object(child), Incarnation(incarnation), self.now);
         self.outputs()
     }
 
     fn start_failed(&mut self, child: &str, incarnation: u64) -> Vec<String> {
         let reason = "no device".into();
-        self.machine.handle_start_failed(&name(child), Incarnation(incarnation), reason, self.now);
+        self.machine.handle_start_failed(
+            &object(child),
+            Incarnation(incarnation),
+            reason,
+            self.now,
+        );
         self.outputs()
     }
 
@@ -233,29 +241,29 @@ impl Rig {
     }
 
     fn stopped(&mut self, child: &str, incarnation: u64) -> Vec<String> {
-        self.machine.handle_stopped(&name(child), Incarnation(incarnation), self.now);
+        self.machine.handle_stopped(&object(child), Incarnation(incarnation), self.now);
         self.outputs()
     }
 
     fn died(&mut self, child: &str, incarnation: u64) -> Vec<String> {
-        self.machine.handle_died(&name(child), Incarnation(incarnation), false, None, self.now);
+        self.machine.handle_died(&object(child), Incarnation(incarnation), false, None, self.now);
         self.outputs()
     }
 
     fn returned(&mut self, child: &str, incarnation: u64) -> Vec<String> {
-        self.machine.handle_died(&name(child), Incarnation(incarnation), true, None, self.now);
+        self.machine.handle_died(&object(child), Incarnation(incarnation), true, None, self.now);
         self.outputs()
     }
 
     fn died_on_the_spot(&mut self, child: &str, incarnation: u64) -> Vec<String> {
         let next = Some(Incarnation(incarnation + 1));
-        self.machine.handle_died(&name(child), Incarnation(incarnation), false, next, self.now);
+        self.machine.handle_died(&object(child), Incarnation(incarnation), false, next, self.now);
         self.outputs()
     }
 
     fn escalated(&mut self, child: &str, incarnation: u64) -> Vec<String> {
         let reason = "too much".into();
-        self.machine.handle_escalated(&name(child), Incarnation(incarnation), reason, self.now);
+        self.machine.handle_escalated(&object(child), Incarnation(incarnation), reason, self.now);
         self.outputs()
     }
 
@@ -266,7 +274,7 @@ impl Rig {
     }
 
     fn state(&self, child: &str) -> ChildState {
-        let child = name(child);
+        let child = object(child);
         let status = self.machine.children().find(|status| status.name == child);
         status.expect("a child of this name").state
     }

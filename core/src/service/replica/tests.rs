@@ -33,6 +33,11 @@ fn on_step(at: Instant) -> Instant {
     Instant::from_nanos(at.as_nanos().div_ceil(step) * step)
 }
 
+/// What a clock shows that runs faster by so many thousandths.
+fn clock(now: Instant, drift: u64) -> Instant {
+    Instant::from_nanos(now.as_nanos() / 1000 * (1000 + drift))
+}
+
 fn request(caller: u64, id: MessageId) -> ServiceRequest {
     ServiceRequest { caller, id, settled: 0, until: None, request: Bytes::from_static(b"+") }
 }
@@ -135,6 +140,13 @@ impl Robot {
         robot
     }
 
+    /// A service that stops on a partition, and has its first primary.
+    fn elected(seed: u64, size: usize, kind: StandbyKind) -> Self {
+        let mut robot = Robot::new(seed, size, kind, OnPartition::Stop);
+        robot.advance_ms(100);
+        robot
+    }
+
     fn config(&self, member: usize) -> ReplicaConfig {
         ReplicaConfig {
             own: node(member),
@@ -158,7 +170,7 @@ impl Robot {
     }
 
     fn clock(&self, drift: u64) -> Instant {
-        Instant::from_nanos(self.now.as_nanos() / 1000 * (1000 + drift))
+        clock(self.now, drift)
     }
 
     fn kill(&mut self, member: usize) {
@@ -249,7 +261,7 @@ impl Robot {
         if own.busy.as_ref().is_none_or(|(at, _)| *at > self.now) {
             return;
         }
-        let now = Instant::from_nanos(self.now.as_nanos() / 1000 * (1000 + drift));
+        let now = clock(self.now, drift);
         let state = |sum: u64| Bytes::copy_from_slice(&sum.to_le_bytes());
         match own.busy.take().unwrap().1 {
             ReplicaOutput::Execute { save, .. } => {
@@ -294,7 +306,7 @@ impl Robot {
                 if self.stopped[member] {
                     continue;
                 }
-                let now = Instant::from_nanos(self.now.as_nanos() / 1000 * (1000 + own.drift));
+                let now = clock(self.now, own.drift);
                 let asked = ServiceRequest { settled, ..request(caller as u64, id) };
                 own.replica.handle_request(asked, now);
                 self.drain(member);
@@ -320,7 +332,7 @@ impl Robot {
                     continue;
                 }
                 if let Some(own) = self.members[to].as_mut() {
-                    let now = Instant::from_nanos(self.now.as_nanos() / 1000 * (1000 + own.drift));
+                    let now = clock(self.now, own.drift);
                     own.replica.handle_message(&node(from), &message, now);
                     self.drain(to);
                 }
@@ -329,7 +341,7 @@ impl Robot {
             {
                 self.do_job(member);
                 if let Some(own) = self.members[member].as_mut() {
-                    let now = Instant::from_nanos(self.now.as_nanos() / 1000 * (1000 + own.drift));
+                    let now = clock(self.now, own.drift);
                     own.replica.handle_timeout(now);
                     let served =
                         self.served_ms.is_some_and(|at| Instant::from_millis(at) <= self.now);

@@ -16,7 +16,7 @@ const PLACES: &str = "
     core | macros
     trees |
     contract core |
-    transports core contract | doubles ptys
+    transports core contract | doubles ptys macros
     ptys core |
     doubles core contract |
     blastema core lite macros contract transports trees | doubles

@@ -1,14 +1,11 @@
 use super::*;
 use crate::medium::can::{CanId, Format};
 use crate::random::Random;
+use crate::testing::at;
 use proptest::prelude::*;
 use std::time::Duration;
 
 const FD: Format = Format::Fd { fast: true };
-
-fn at(millis: u64) -> Instant {
-    Instant::from_millis(millis)
-}
 
 fn node(address: u8, config: IsoTpConfig) -> IsoTp {
     IsoTp::new(BusAddress(address), config).unwrap()

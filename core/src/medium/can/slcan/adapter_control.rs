@@ -199,10 +199,7 @@ fn time_on_bus(frame: &CanFrame, rate: BitRate) -> Duration {
 mod tests {
     use super::*;
     use crate::medium::can::{CanId, Format};
-
-    fn at(millis: u64) -> Instant {
-        Instant::from_millis(millis)
-    }
+    use crate::testing::at;
 
     fn rate() -> BitRate {
         BitRate::of(500_000).unwrap()

@@ -3,6 +3,7 @@
 use super::super::noise::NoiseCrypto;
 use super::*;
 use crate::random::Random;
+use crate::testing::at;
 
 type Channels = PeerChannels;
 
@@ -11,10 +12,6 @@ const FORMATS: [(SealProfile, CipherSuite); 3] = [
     (SealProfile::Full, CipherSuite::ChaChaPoly),
     (SealProfile::Compact, CipherSuite::AesGcm),
 ];
-
-fn at(millis: u64) -> Instant {
-    Instant::from_millis(millis)
-}
 
 fn limits() -> KeyLimits {
     KeyLimits::default()

@@ -11,7 +11,7 @@ fn an_added_child_is_answered_when_it_is_at_work_and_is_the_last_of_its_group_th
         assert_eq!(rig.started("d", 1), ["1 recovered d #1"]);
 
         assert_eq!(rig.died(struck, 1), [""; 0]);
-        assert_eq!(rig.restart(struck, ReplacementCause::Died, 1), ["stop d"], "{strategy:?}");
+        assert_eq!(rig.restart(struck, Died, 1), ["stop d"], "{strategy:?}");
         assert_eq!(
             rig.add("d", permanent()),
             ["3 gave d up: there already is a child of this name"]
@@ -30,7 +30,7 @@ fn one_whose_start_fails_is_forgotten_without_a_restart_of_others_whatever_its_r
             let gave_up = "1 gave d up: its next incarnation did not start: no device";
             assert_eq!(rig.start_failed("d", 1), ["left d", gave_up]);
 
-            let late = rig.restart("d", ReplacementCause::Faulty, 1);
+            let late = rig.restart("d", Faulty, 1);
             assert_eq!(late, ["2 gave d up: no such child"], "{strategy:?}");
             assert_eq!(rig.machine.restarts_left(rig.now), 3);
             assert_eq!(rig.add("d", rules), ["start d #1"], "its name is free");
@@ -53,7 +53,7 @@ fn one_that_is_late_or_hangs_in_its_start_or_is_put_to_rest_is_forgotten() {
     let stopped =
         "gave d up: its next incarnation did not start: it was stopped before it was at work";
     let given_up = format!("2 {stopped}");
-    let hangs = rig.restart("d", ReplacementCause::Stuck, 1);
+    let hangs = rig.restart("d", Stuck, 1);
     assert_eq!(
         hangs,
         [
@@ -65,7 +65,7 @@ fn one_that_is_late_or_hangs_in_its_start_or_is_put_to_rest_is_forgotten() {
     );
 
     rig.add("d", ChildRules { essential: true, ..permanent() });
-    assert_eq!(rig.rest("d", ReplacementCause::Faulty), ["isolate d", "stop d"]);
+    assert_eq!(rig.rest("d", Faulty), ["isolate d", "stop d"]);
     let ended = rig.stopped("d", 1);
     assert_eq!(ended[..2], ["left d".to_owned(), format!("4 {stopped}")], "{ended:?}");
     assert!(rig.machine.at_work(), "what was never at work is not essential");
@@ -84,7 +84,7 @@ fn a_supervisor_that_escalates_in_its_first_start_is_forgotten_and_counts_for_no
 #[test]
 fn an_addition_during_a_recovery_waits_for_it_and_a_removal_does_not() {
     let mut rig = Rig::serving(Strategy::OneForAll);
-    assert_eq!(rig.restart("b", ReplacementCause::Faulty, 1), ["stop c"]);
+    assert_eq!(rig.restart("b", Faulty, 1), ["stop c"]);
 
     assert_eq!(rig.add("d", permanent()), [""; 0]);
     assert_eq!(rig.remove("a"), ["stop a"]);
@@ -109,8 +109,8 @@ fn an_addition_ends_with_the_incarnation_of_the_supervisor() {
     assert_eq!(rig.add("e", permanent()), ["2 gave e up: its supervisor is not at work"]);
 
     let mut rig = Rig::serving(Strategy::OneForAll);
-    rig.restart("a", ReplacementCause::Faulty, 1);
-    rig.machine.handle_add(&name("d"), permanent(), CallId(1), rig.now);
+    rig.restart("a", Faulty, 1);
+    rig.machine.handle_add(&object("d"), permanent(), CallId(1), rig.now);
     assert_eq!(rig.end()[..2], ["left d".to_owned(), undone.to_owned()], "it had not begun");
 
     let mut rig = Rig::serving(Strategy::OneForOne);

@@ -5,13 +5,13 @@ use super::*;
 #[test]
 fn a_start_that_fails_answers_its_own_request_and_may_be_tried_again() {
     let mut rig = Rig::serving(Strategy::OneForOne);
-    rig.restart("b", ReplacementCause::Died, 1);
+    rig.restart("b", Died, 1);
 
     assert_eq!(
         rig.start_failed("b", 2),
         ["1 gave b up: its next incarnation did not start: no device"]
     );
-    assert_eq!(rig.restart("b", ReplacementCause::Died, 1), ["start b #3"]);
+    assert_eq!(rig.restart("b", Died, 1), ["start b #3"]);
     assert_eq!(rig.started("b", 3), ["2 recovered b #3"]);
 }
 
@@ -22,15 +22,12 @@ fn a_first_start_that_fails_holds_the_rest_back_until_it_is_decided() {
     rig.begin();
 
     assert_eq!(rig.start_failed("a", 1), [""; 0]);
-    assert_eq!(rig.restart("a", ReplacementCause::Died, 1), ["start a #2"]);
+    assert_eq!(rig.restart("a", Died, 1), ["start a #2"]);
     assert_eq!(
         rig.start_failed("a", 2),
         ["1 gave a up: its next incarnation did not start: no device"]
     );
-    assert_eq!(
-        rig.rest("a", ReplacementCause::Died),
-        ["isolate a", "retire a", "start b #1", "2 let a go"]
-    );
+    assert_eq!(rig.rest("a", Died), ["isolate a", "retire a", "start b #1", "2 let a go"]);
     assert_eq!(rig.started("b", 1), ["all started"]);
     assert_eq!(rig.state("a"), ChildState::Resting);
 }
@@ -38,7 +35,7 @@ fn a_first_start_that_fails_holds_the_rest_back_until_it_is_decided() {
 #[test]
 fn a_start_that_takes_too_long_is_given_up_and_declared() {
     let mut rig = Rig::serving(Strategy::OneForOne);
-    rig.restart("b", ReplacementCause::Died, 1);
+    rig.restart("b", Died, 1);
     assert_eq!(rig.machine.poll_timeout(), Some(rig.now + Duration::from_secs(5)));
 
     assert_eq!(
@@ -46,13 +43,13 @@ fn a_start_that_takes_too_long_is_given_up_and_declared() {
         ["overdue b", "1 gave b up: its next incarnation did not start: not at work within 5s"]
     );
     assert_eq!(rig.started("b", 2), [""; 0]);
-    assert_eq!(rig.restart("b", ReplacementCause::Died, 2), ["start b #3"]);
+    assert_eq!(rig.restart("b", Died, 2), ["start b #3"]);
 }
 
 #[test]
 fn the_last_hooks_of_a_start_that_fails_have_the_time_of_a_stop() {
     let mut rig = Rig::serving(Strategy::OneForOne);
-    rig.restart("b", ReplacementCause::Died, 1);
+    rig.restart("b", Died, 1);
     assert_eq!(rig.pass(4), [""; 0]);
     assert_eq!(rig.fails_to_start("b", 2), [""; 0]);
     assert_eq!(rig.machine.poll_timeout(), Some(rig.now + Duration::from_secs(5)));
@@ -67,7 +64,7 @@ fn the_last_hooks_of_a_start_that_fails_have_the_time_of_a_stop() {
     );
     assert_eq!(rig.fails_to_start("b", 2), [""; 0]);
     assert_eq!(rig.machine.poll_timeout(), None);
-    assert_eq!(rig.restart("b", ReplacementCause::Died, 2), ["start b #3"]);
+    assert_eq!(rig.restart("b", Died, 2), ["start b #3"]);
 }
 
 #[test]
@@ -84,18 +81,18 @@ fn a_child_that_does_not_stop_in_time_is_given_up() {
 #[test]
 fn a_fault_of_an_earlier_incarnation_is_answered_by_the_present_one() {
     let mut rig = Rig::serving(Strategy::OneForOne);
-    rig.restart("b", ReplacementCause::Died, 1);
+    rig.restart("b", Died, 1);
 
-    assert_eq!(rig.restart("b", ReplacementCause::Stuck, 1), [""; 0]);
+    assert_eq!(rig.restart("b", Stuck, 1), [""; 0]);
     assert_eq!(rig.started("b", 2), ["1 recovered b #2", "2 recovered b #2"]);
-    assert_eq!(rig.restart("b", ReplacementCause::Died, 1), ["3 recovered b #2"]);
+    assert_eq!(rig.restart("b", Died, 1), ["3 recovered b #2"]);
     assert_eq!(rig.machine.restarts_left(rig.now), 2);
 }
 
 #[test]
 fn reports_of_an_earlier_incarnation_change_nothing() {
     let mut rig = Rig::serving(Strategy::OneForOne);
-    rig.restart("b", ReplacementCause::Stuck, 1);
+    rig.restart("b", Stuck, 1);
 
     assert_eq!(rig.started("b", 1), [""; 0]);
     assert_eq!(rig.start_failed("b", 1), [""; 0]);
@@ -113,62 +110,48 @@ fn a_death_is_noted_and_waits_for_the_recoverer() {
 
     assert_eq!(rig.died("b", 1), [""; 0]);
     assert_eq!(rig.state("b"), ChildState::Failed);
-    assert_eq!(rig.restart("b", ReplacementCause::Died, 1), ["start b #2"]);
+    assert_eq!(rig.restart("b", Died, 1), ["start b #2"]);
 }
 
 #[test]
 fn a_transient_child_may_return_and_a_temporary_one_may_also_die() {
     let children =
         [("t", kept(Restart::Transient)), ("u", kept(Restart::Temporary)), ("p", permanent())];
-    let mut rig = Rig::with(Strategy::OneForOne, 3, &children);
-    rig.begin();
-    rig.started("t", 1);
-    rig.started("u", 1);
-    rig.started("p", 1);
+    let mut rig = Rig::with(Strategy::OneForOne, 3, &children).at_work();
 
     assert_eq!(rig.returned("t", 1), ["retire t"]);
     assert_eq!(rig.state("t"), ChildState::Finished);
-    assert_eq!(rig.restart("t", ReplacementCause::Died, 1), ["1 let t go"]);
-    assert_eq!(rig.restart("u", ReplacementCause::Died, 1), ["retire u", "2 let u go"]);
+    assert_eq!(rig.restart("t", Died, 1), ["1 let t go"]);
+    assert_eq!(rig.restart("u", Died, 1), ["retire u", "2 let u go"]);
     assert_eq!(rig.state("u"), ChildState::Finished);
     assert_eq!(rig.returned("p", 1), [""; 0]);
-    assert_eq!(rig.restart("p", ReplacementCause::Died, 1), ["start p #2"]);
+    assert_eq!(rig.restart("p", Died, 1), ["start p #2"]);
     assert_eq!(rig.restart_by_hand("t"), ["start t #2"]);
     assert_eq!(rig.died("t", 2), ["4 gave t up: its next incarnation did not start: it died"]);
-    assert_eq!(rig.restart("t", ReplacementCause::Died, 2), ["start t #3"]);
+    assert_eq!(rig.restart("t", Died, 2), ["start t #3"]);
 }
 
 #[test]
 fn a_transient_child_that_could_not_go_on_did_not_end_in_order() {
-    let mut rig = Rig::with(Strategy::OneForOne, 3, &[("t", kept(Restart::Transient))]);
-    rig.begin();
-    rig.started("t", 1);
+    let mut rig = Rig::with(Strategy::OneForOne, 3, &[("t", kept(Restart::Transient))]).at_work();
     rig.died("t", 1);
 
-    assert_eq!(rig.restart("t", ReplacementCause::Faulty, 1), ["start t #2"]);
+    assert_eq!(rig.restart("t", Faulty, 1), ["start t #2"]);
 }
 
 #[test]
 fn a_temporary_child_that_is_stuck_or_faulty_is_ended_and_let_go() {
     let children = [("u", kept(Restart::Temporary)), ("v", kept(Restart::Temporary))];
-    let mut rig = Rig::with(Strategy::OneForAll, 3, &children);
-    rig.begin();
-    rig.started("u", 1);
-    rig.started("v", 1);
+    let mut rig = Rig::with(Strategy::OneForAll, 3, &children).at_work();
 
-    assert_eq!(
-        rig.restart("u", ReplacementCause::Stuck, 1),
-        ["abandon u", "retire u", "1 let u go"]
-    );
-    assert_eq!(rig.restart("v", ReplacementCause::Faulty, 1), ["stop v"]);
+    assert_eq!(rig.restart("u", Stuck, 1), ["abandon u", "retire u", "1 let u go"]);
+    assert_eq!(rig.restart("v", Faulty, 1), ["stop v"]);
     assert_eq!(rig.stopped("v", 1), ["retire v", "2 let v go"]);
 }
 
 #[test]
 fn a_reset_is_passed_on_and_answered() {
-    let mut rig = Rig::with(Strategy::OneForOne, 9, &[("b", permanent())]);
-    rig.begin();
-    rig.started("b", 1);
+    let mut rig = Rig::with(Strategy::OneForOne, 9, &[("b", permanent())]).at_work();
 
     assert_eq!(rig.reset("b"), ["reset b"]);
     assert_eq!(rig.reset("b"), ["2 gave b up: it has no incarnation that could be reset"]);
@@ -182,7 +165,7 @@ fn a_reset_is_passed_on_and_answered() {
     assert_eq!(rig.pass(5), ["4 gave b up: it did not answer within 5s"]);
     rig.reset("b");
     assert_eq!(
-        rig.restart("b", ReplacementCause::Died, 1),
+        rig.restart("b", Died, 1),
         ["5 gave b up: it has no incarnation that could be reset", "start b #2"]
     );
     assert_eq!(rig.reset("x"), ["7 gave x up: no such child"]);
@@ -202,13 +185,13 @@ fn a_child_is_told_whether_another_incarnation_follows() {
     let mut rig = Rig::serving(Strategy::OneForAll);
     let (now, calls) = (rig.now, [CallId(1), CallId(2)]);
 
-    rig.machine.handle_restart(&name("a"), calls[0], ReplacementCause::Died, None, now);
+    rig.machine.handle_restart(&object("a"), calls[0], Died, None, now);
     assert_eq!(reported(&mut rig), [("c".into(), true)]);
 
     let mut rig = Rig::serving(Strategy::OneForOne);
-    rig.machine.handle_rest(&name("b"), calls[1], ReplacementCause::Faulty, now);
+    rig.machine.handle_rest(&object("b"), calls[1], Faulty, now);
     assert_eq!(reported(&mut rig), [("b".into(), false)]);
     rig.machine.handle_end(now);
-    rig.machine.handle_stopped(&name("b"), Incarnation::FIRST, now);
+    rig.machine.handle_stopped(&object("b"), Incarnation::FIRST, now);
     assert_eq!(reported(&mut rig), [("c".into(), false)]);
 }

@@ -6,13 +6,10 @@ use super::*;
 fn a_child_in_safe_rest_stays_there_until_a_person_brings_it_back() {
     let mut rig = Rig::serving(Strategy::OneForAll);
 
-    assert_eq!(rig.rest("b", ReplacementCause::Faulty), ["isolate b", "stop b"]);
+    assert_eq!(rig.rest("b", Faulty), ["isolate b", "stop b"]);
     assert_eq!(rig.stopped("b", 1), ["retire b", "1 let b go"]);
-    assert_eq!(
-        rig.restart("b", ReplacementCause::Stuck, 1),
-        ["2 gave b up: it is in the safe state"]
-    );
-    assert_eq!(rig.restart("a", ReplacementCause::Died, 1), ["stop c"]);
+    assert_eq!(rig.restart("b", Stuck, 1), ["2 gave b up: it is in the safe state"]);
+    assert_eq!(rig.restart("a", Died, 1), ["stop c"]);
     assert_eq!(rig.stopped("c", 1), ["start a #2"]);
     assert_eq!(rig.started("a", 2), ["start c #2"]);
     assert_eq!(rig.started("c", 2), ["3 recovered a #2"]);
@@ -22,9 +19,7 @@ fn a_child_in_safe_rest_stays_there_until_a_person_brings_it_back() {
 
 #[test]
 fn a_requested_restart_is_not_counted_and_needs_a_serving_supervisor() {
-    let mut rig = Rig::with(Strategy::OneForOne, 1, &[("a", permanent())]);
-    rig.begin();
-    rig.started("a", 1);
+    let mut rig = Rig::with(Strategy::OneForOne, 1, &[("a", permanent())]).at_work();
     for incarnation in 1..5 {
         assert_eq!(rig.restart_by_hand("a"), ["stop a"]);
         assert_eq!(rig.stopped("a", incarnation), [format!("start a #{}", incarnation + 1)]);
@@ -45,7 +40,7 @@ fn a_stuck_child_is_put_to_rest_without_being_asked() {
     let mut rig = Rig::serving(Strategy::OneForOne);
 
     let rests = ["isolate b", "abandon b", "retire b", "1 let b go"];
-    assert_eq!(rig.rest("b", ReplacementCause::Stuck), rests);
+    assert_eq!(rig.rest("b", Stuck), rests);
     assert_eq!(rig.state("b"), ChildState::Resting);
     assert_eq!(rig.isolate("x", true), ["2 gave x up: no such child"]);
 }
@@ -53,18 +48,15 @@ fn a_stuck_child_is_put_to_rest_without_being_asked() {
 #[test]
 fn what_waits_for_a_child_is_given_back_however_it_comes_to_rest() {
     let mut rig = Rig::serving(Strategy::OneForOne);
-    rig.rest("a", ReplacementCause::Faulty);
+    rig.rest("a", Faulty);
     assert_eq!(rig.pass(5), ["cut off a", "retire a", "1 let a go"], "it does not stop");
     // It is to make way for its next incarnation when it is put to rest.
-    assert_eq!(rig.restart("b", ReplacementCause::Faulty, 1), ["stop b"]);
-    assert_eq!(
-        rig.rest("b", ReplacementCause::Faulty),
-        ["isolate b", "2 gave b up: it is in the safe state"]
-    );
+    assert_eq!(rig.restart("b", Faulty, 1), ["stop b"]);
+    assert_eq!(rig.rest("b", Faulty), ["isolate b", "2 gave b up: it is in the safe state"]);
     assert_eq!(rig.stopped("b", 1), ["retire b", "3 let b go"]);
     rig.died("c", 1);
     let dead = ["isolate c", "retire c", "4 let c go"];
-    assert_eq!(rig.rest("c", ReplacementCause::Died), dead);
+    assert_eq!(rig.rest("c", Died), dead);
 }
 
 #[test]
@@ -93,7 +85,7 @@ fn a_child_that_is_isolated_while_its_failed_start_ends_is_not_waited_for() {
 #[test]
 fn what_has_followed_the_struck_incarnation_is_not_isolated_for_its_fault() {
     let mut rig = Rig::serving(Strategy::OneForOne);
-    rig.restart("b", ReplacementCause::Died, 1);
+    rig.restart("b", Died, 1);
     assert_eq!(rig.isolate_struck("b", 1), ["2 recovered b #2"], "while it starts");
     rig.started("b", 2);
 
@@ -117,14 +109,14 @@ fn a_child_that_is_about_to_leave_is_let_go_when_it_has_left() {
     let mut rig = Rig::serving(Strategy::OneForOne);
     assert_eq!(rig.remove("b"), ["stop b"]);
 
-    assert_eq!(rig.rest("b", ReplacementCause::Faulty), ["isolate b"]);
+    assert_eq!(rig.rest("b", Faulty), ["isolate b"]);
     assert_eq!(rig.stopped("b", 1), ["left b", "1 let b go", "2 let b go"]);
 }
 
 #[test]
 fn a_child_that_is_started_again_before_it_rests_is_not_put_to_rest() {
     let mut rig = Rig::serving(Strategy::OneForOne);
-    assert_eq!(rig.rest("b", ReplacementCause::Faulty), ["isolate b", "stop b"]);
+    assert_eq!(rig.rest("b", Faulty), ["isolate b", "stop b"]);
 
     let outputs = rig.restart_by_hand("b");
 

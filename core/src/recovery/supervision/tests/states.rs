@@ -6,16 +6,16 @@ use super::*;
 fn children_come_and_go_while_it_is_at_work() {
     let mut rig = Rig::serving(Strategy::OneForOne);
 
-    rig.machine.add_child(name("d"), permanent(), rig.now).expect("a free name");
+    rig.machine.add_child(object("d"), permanent(), rig.now).expect("a free name");
     assert_eq!(rig.outputs(), ["start d #1"]);
     assert_eq!(rig.started("d", 1), [""; 0]);
     assert_eq!(
-        rig.machine.add_child(name("d"), permanent(), rig.now),
+        rig.machine.add_child(object("d"), permanent(), rig.now),
         Err(GiveUpReason::NameTaken)
     );
     assert_eq!(rig.remove("b"), ["stop b"]);
     assert_eq!(
-        rig.restart("b", ReplacementCause::Died, 1),
+        rig.restart("b", Died, 1),
         ["left b", "1 let b go", "2 let b go"],
         "its stop is not waited for"
     );
@@ -27,13 +27,11 @@ fn children_come_and_go_while_it_is_at_work() {
 
 #[test]
 fn a_child_that_is_added_after_the_end_is_retired_until_the_next_beginning() {
-    let mut rig = Rig::with(Strategy::OneForOne, 3, &[("a", permanent())]);
-    rig.begin();
-    rig.started("a", 1);
+    let mut rig = Rig::with(Strategy::OneForOne, 3, &[("a", permanent())]).at_work();
     rig.end();
     assert_eq!(rig.stopped("a", 1), ["all stopped"]);
 
-    rig.machine.add_child(name("b"), permanent(), rig.now).expect("a free name");
+    rig.machine.add_child(object("b"), permanent(), rig.now).expect("a free name");
 
     assert_eq!(rig.outputs(), ["retire b"]);
     assert_eq!(rig.begin(), ["start a #2"]);
@@ -44,15 +42,12 @@ fn a_child_that_is_added_after_the_end_is_retired_until_the_next_beginning() {
 fn nothing_is_restarted_while_it_is_not_at_work() {
     let mut rig = Rig::with(Strategy::OneForOne, 3, &[("a", permanent())]);
 
-    assert_eq!(
-        rig.restart("a", ReplacementCause::Died, 0),
-        ["1 gave a up: its supervisor is not at work"]
-    );
+    assert_eq!(rig.restart("a", Died, 0), ["1 gave a up: its supervisor is not at work"]);
     rig.begin();
     rig.started("a", 1);
     assert_eq!(rig.end(), ["stop a"]);
     assert_eq!(rig.restart_by_hand("a"), ["2 gave a up: its supervisor is not at work"]);
-    assert_eq!(rig.restart("a", ReplacementCause::Faulty, 1), [""; 0], "its next incarnation says");
+    assert_eq!(rig.restart("a", Faulty, 1), [""; 0], "its next incarnation says");
     assert_eq!(rig.stopped("a", 1), ["all stopped"]);
     rig.machine.handle_retired();
     assert_eq!(rig.outputs(), ["3 gave a up: its supervisor is not at work"]);
@@ -62,7 +57,7 @@ fn nothing_is_restarted_while_it_is_not_at_work() {
 #[test]
 fn abandoning_children_ends_all_and_a_new_start_starts_all() {
     let mut rig = Rig::serving(Strategy::OneForOne);
-    rig.restart("b", ReplacementCause::Faulty, 1);
+    rig.restart("b", Faulty, 1);
     rig.remove("c");
 
     rig.machine.handle_forsake(rig.now);
@@ -83,8 +78,8 @@ fn a_second_beginning_without_an_end_leaves_no_incarnation_twice() {
 #[test]
 fn after_a_restart_of_its_own_children_at_work_stay_and_the_others_start_again() {
     let mut rig = Rig::serving(Strategy::OneForOne);
-    rig.restart("b", ReplacementCause::Faulty, 1);
-    rig.restart("c", ReplacementCause::Died, 1);
+    rig.restart("b", Faulty, 1);
+    rig.restart("c", Died, 1);
 
     rig.machine.handle_own_restart(rig.now);
 
@@ -100,16 +95,16 @@ fn every_state_takes_every_input_and_comes_to_an_end() {
     type Act = (&'static str, fn(&mut Rig));
     let states: [Act; 12] = [
         ("running", |_| {}),
-        ("starting", |rig| drop(rig.restart("b", ReplacementCause::Died, 1))),
+        ("starting", |rig| drop(rig.restart("b", Died, 1))),
         ("failing", |rig| {
-            rig.restart("b", ReplacementCause::Died, 1);
+            rig.restart("b", Died, 1);
             rig.fails_to_start("b", 2);
         }),
-        ("stopping", |rig| drop(rig.restart("b", ReplacementCause::Faulty, 1))),
+        ("stopping", |rig| drop(rig.restart("b", Faulty, 1))),
         ("resetting", |rig| drop(rig.reset("b"))),
         ("resetting in its group", |rig| rig.reset_in_group("b")),
         ("failed", |rig| drop(rig.died("b", 1))),
-        ("resting", |rig| drop(rig.rest("b", ReplacementCause::Died))),
+        ("resting", |rig| drop(rig.rest("b", Died))),
         ("leaving", |rig| drop(rig.remove("b"))),
         ("isolated", |rig| drop(rig.isolate("b", true))),
         ("ending", |rig| drop(rig.end())),
@@ -117,18 +112,18 @@ fn every_state_takes_every_input_and_comes_to_an_end() {
     ];
     let inputs: [Act; 25] = [
         ("nothing", |_| {}),
-        ("restart, died", |rig| drop(rig.restart("b", ReplacementCause::Died, 1))),
-        ("restart, stuck", |rig| drop(rig.restart("b", ReplacementCause::Stuck, 1))),
-        ("restart, behind another", |rig| drop(rig.restart("b", ReplacementCause::Behind, 1))),
-        ("restart, faulty", |rig| drop(rig.restart("b", ReplacementCause::Faulty, 1))),
-        ("restart, next incarnation", |rig| drop(rig.restart("b", ReplacementCause::Stuck, 2))),
+        ("restart, died", |rig| drop(rig.restart("b", Died, 1))),
+        ("restart, stuck", |rig| drop(rig.restart("b", Stuck, 1))),
+        ("restart, behind another", |rig| drop(rig.restart("b", Behind, 1))),
+        ("restart, faulty", |rig| drop(rig.restart("b", Faulty, 1))),
+        ("restart, next incarnation", |rig| drop(rig.restart("b", Stuck, 2))),
         ("restart by hand", |rig| drop(rig.restart_by_hand("b"))),
-        ("restart of a", |rig| drop(rig.restart("a", ReplacementCause::Stuck, 1))),
+        ("restart of a", |rig| drop(rig.restart("a", Stuck, 1))),
         ("reset", |rig| drop(rig.reset("b"))),
         ("reset", |rig| drop(rig.reset_done("b", 1, Ok(())))),
         ("reset failed", |rig| drop(rig.reset_done("b", 1, Err("still hot")))),
-        ("rest", |rig| drop(rig.rest("b", ReplacementCause::Faulty))),
-        ("rest, stuck", |rig| drop(rig.rest("b", ReplacementCause::Stuck))),
+        ("rest", |rig| drop(rig.rest("b", Faulty))),
+        ("rest, stuck", |rig| drop(rig.rest("b", Stuck))),
         ("isolate", |rig| drop(rig.isolate("b", true))),
         ("remove", |rig| drop(rig.remove("b"))),
         ("started", |rig| drop(rig.started("b", 2))),
@@ -167,7 +162,7 @@ fn finish(rig: &mut Rig, case: &str) {
         match child.state {
             ChildState::Starting => rig.finish_start(name, incarnation),
             ChildState::Stopping => drop(rig.stopped(name, incarnation)),
-            ChildState::Failed => drop(rig.restart(name, ReplacementCause::Died, incarnation)),
+            ChildState::Failed => drop(rig.restart(name, Died, incarnation)),
             // Either another child must move first, or the supervisor does not want to.
             _ if !rig.machine.at_work() => break,
             _ => {

@@ -25,10 +25,8 @@ fn those_behind_one_that_waits_are_started_unless_they_depend_on_it() {
 #[test]
 fn a_restart_that_comes_to_wait_is_said_to_wait_and_costs_no_more() {
     for strategy in [Strategy::OneForOne, Strategy::RestForOne] {
-        let mut rig = Rig::with(strategy, 1, &[("a", permanent())]);
-        rig.begin();
-        rig.started("a", 1);
-        assert_eq!(rig.restart("a", ReplacementCause::Died, 1), ["start a #2"]);
+        let mut rig = Rig::with(strategy, 1, &[("a", permanent())]).at_work();
+        assert_eq!(rig.restart("a", Died, 1), ["start a #2"]);
 
         assert_eq!(rig.unavailable("a", 2), ["1 a #2 waits"]);
         assert_eq!(rig.unavailable("a", 2), [""; 0]);
@@ -56,7 +54,7 @@ fn one_that_waits_can_fail_and_be_stopped_as_any_other() {
     rig.unavailable("a", 1);
     assert_eq!(rig.start_failed("a", 1), [""; 0]);
     assert_eq!(rig.state("a"), ChildState::Failed);
-    assert_eq!(rig.restart("a", ReplacementCause::Died, 1), ["start a #2"]);
+    assert_eq!(rig.restart("a", Died, 1), ["start a #2"]);
     rig.unavailable("a", 2);
 
     assert_eq!(rig.end(), ["stop a"]);
@@ -67,9 +65,9 @@ fn one_that_waits_can_fail_and_be_stopped_as_any_other() {
 #[test]
 fn an_incarnation_begun_by_the_guard_is_not_the_ordered_one() {
     let mut rig = Rig::serving(Strategy::OneForOne);
-    assert_eq!(rig.restart("a", ReplacementCause::Stuck, 1), ["abandon a", "start a #2"]);
+    assert_eq!(rig.restart("a", Stuck, 1), ["abandon a", "start a #2"]);
     // Its guard had restarted it as #2 just before, so that the new one is #3.
-    rig.machine.handle_begun(&name("a"), Incarnation(3));
+    rig.machine.handle_begun(&object("a"), Incarnation(3));
 
     assert_eq!(rig.died("a", 2), [""; 0], "that is the incarnation that was given up");
     assert_eq!(rig.started("a", 2), [""; 0]);

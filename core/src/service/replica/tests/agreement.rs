@@ -49,7 +49,7 @@ impl Robot {
                 return;
             };
             let Some(Some(to)) = self.members.get_mut(to) else { return };
-            let now = Instant::from_nanos(self.now.as_nanos() / 1000 * (1000 + to.drift));
+            let now = clock(self.now, to.drift);
             to.replica.handle_configuration(&node(from), &configuration, now);
         }
         self.drain(with);
@@ -67,7 +67,7 @@ impl Robot {
                 };
                 let found: Vec<_> = (0..self.size).filter(seen).map(node).collect();
                 if let Some(own) = self.members[member].as_mut() {
-                    let now = Instant::from_nanos(self.now.as_nanos() / 1000 * (1000 + own.drift));
+                    let now = clock(self.now, own.drift);
                     own.replica.handle_carriers(&found, |_| true, now);
                     self.drain(member);
                 }
@@ -285,8 +285,7 @@ fn members_that_list_each_other_find_out_before_they_vote() {
 
 #[test]
 fn once_the_wrong_node_is_corrected_the_service_goes_on_with_its_state() {
-    let mut robot = Robot::new(1, 3, StandbyKind::Warm, OnPartition::Stop);
-    robot.advance_ms(100);
+    let mut robot = Robot::elected(1, 3, StandbyKind::Warm);
     robot.ask();
     robot.advance_ms(50);
     robot.reconfigure(0, |config| config.members = vec![node(0)]);

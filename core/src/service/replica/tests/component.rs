@@ -58,8 +58,7 @@ impl Robot {
 
 #[test]
 fn a_hot_primary_whose_component_died_leaves_the_service_to_a_standby_at_once() {
-    let mut robot = Robot::new(9, 3, StandbyKind::Hot, OnPartition::Stop);
-    robot.advance_ms(100);
+    let mut robot = Robot::elected(9, 3, StandbyKind::Hot);
     robot.ask_some(3);
 
     robot.lose(0);
@@ -80,8 +79,7 @@ fn a_hot_primary_whose_component_died_leaves_the_service_to_a_standby_at_once() 
 #[test]
 fn a_member_without_the_state_is_not_elected_while_those_who_have_it_stand_still() {
     for moment in 0..40 {
-        let mut robot = Robot::new(moment, 3, StandbyKind::Hot, OnPartition::Stop);
-        robot.advance_ms(100);
+        let mut robot = Robot::elected(moment, 3, StandbyKind::Hot);
         robot.ask_some(3);
         robot.ask();
         robot.advance(Duration::from_micros(200 * moment));
@@ -101,8 +99,7 @@ fn a_member_without_the_state_is_not_elected_while_those_who_have_it_stand_still
 fn a_member_whose_component_dies_while_it_stands_for_election_is_not_elected() {
     for rests in [false, true] {
         for moment in 0..60 {
-            let mut robot = Robot::new(moment, 3, StandbyKind::Hot, OnPartition::Stop);
-            robot.advance_ms(100);
+            let mut robot = Robot::elected(moment, 3, StandbyKind::Hot);
             robot.ask_some(3);
             robot.kill(0);
             robot.advance(Duration::from_micros(25_000 + 300 * moment));
@@ -122,8 +119,7 @@ fn a_member_whose_component_dies_while_it_stands_for_election_is_not_elected() {
 #[test]
 fn a_member_without_the_state_helps_to_elect_the_last_one_that_has_it() {
     for standby in [1, 2] {
-        let mut robot = Robot::new(4, 3, StandbyKind::Hot, OnPartition::Stop);
-        robot.advance_ms(100);
+        let mut robot = Robot::elected(4, 3, StandbyKind::Hot);
         robot.ask_some(4);
         robot.kill(standby);
         robot.advance_ms(50);
@@ -174,8 +170,7 @@ fn whichever_component_dies_while_it_works_nothing_is_answered_twice_or_forgotte
 
 #[test]
 fn where_no_member_has_the_state_the_service_starts_again_after_a_while() {
-    let mut robot = Robot::new(6, 3, StandbyKind::Hot, OnPartition::Stop);
-    robot.advance_ms(100);
+    let mut robot = Robot::elected(6, 3, StandbyKind::Hot);
     robot.ask_some(3);
     robot.stop_for(&[0, 1, 2], Duration::from_millis(1));
     (0..3).for_each(|member| robot.lose(member));
@@ -191,8 +186,7 @@ fn where_no_member_has_the_state_the_service_starts_again_after_a_while() {
 
 #[test]
 fn the_only_member_goes_on_by_itself() {
-    let mut robot = Robot::new(6, 1, StandbyKind::Hot, OnPartition::Stop);
-    robot.advance_ms(100);
+    let mut robot = Robot::elected(6, 1, StandbyKind::Hot);
     robot.ask_some(2);
     robot.lose(0);
     robot.ask_some(1);
@@ -210,8 +204,7 @@ fn the_only_member_goes_on_by_itself() {
 #[test]
 fn a_primary_whose_component_rests_resigns_at_once_and_is_no_candidate_until_it_is_back() {
     for kind in [StandbyKind::Cold, StandbyKind::Warm, StandbyKind::Hot] {
-        let mut robot = Robot::new(8, 3, kind, OnPartition::Stop);
-        robot.advance_ms(100);
+        let mut robot = Robot::elected(8, 3, kind);
         robot.ask_some(3);
         robot.rest(0, true);
         assert_eq!(robot.primaries(), [], "{kind:?}: at once");
@@ -246,8 +239,7 @@ fn a_primary_whose_component_rests_resigns_at_once_and_is_no_candidate_until_it_
 
 #[test]
 fn a_resignation_of_an_earlier_epoch_or_of_a_standby_releases_no_promise() {
-    let mut robot = Robot::new(8, 3, StandbyKind::Warm, OnPartition::Stop);
-    robot.advance_ms(100);
+    let mut robot = Robot::elected(8, 3, StandbyKind::Warm);
     let past = Message::Resigned { epoch: 0 };
     let other = Message::Resigned { epoch: 1 };
     for (from, message) in [(0, past), (1, other)] {
@@ -267,8 +259,7 @@ fn a_resignation_of_an_earlier_epoch_or_of_a_standby_releases_no_promise() {
 #[test]
 fn a_warm_service_goes_on_where_it_was_however_long_all_of_its_members_rested() {
     for members in [1, 3] {
-        let mut robot = Robot::new(4, members, StandbyKind::Warm, OnPartition::Stop);
-        robot.advance_ms(100);
+        let mut robot = Robot::elected(4, members, StandbyKind::Warm);
         robot.ask_some(3);
 
         (0..members).for_each(|member| robot.rest(member, true));
@@ -284,8 +275,7 @@ fn a_warm_service_goes_on_where_it_was_however_long_all_of_its_members_rested() 
 
 #[test]
 fn the_only_member_of_a_warm_service_loads_the_last_state_into_its_restarted_component() {
-    let mut robot = Robot::new(4, 1, StandbyKind::Warm, OnPartition::Stop);
-    robot.advance_ms(100);
+    let mut robot = Robot::elected(4, 1, StandbyKind::Warm);
     robot.ask_some(3);
 
     robot.lose(0);

@@ -4,8 +4,7 @@ use super::*;
 
 #[test]
 fn the_first_of_the_members_serves_and_all_others_know_it() {
-    let mut robot = Robot::new(1, 3, StandbyKind::Warm, OnPartition::Stop);
-    robot.advance_ms(100);
+    let mut robot = Robot::elected(1, 3, StandbyKind::Warm);
     assert_eq!(robot.primaries(), [0]);
     for member in 1..3 {
         let role = robot.members[member].as_ref().unwrap().replica.role();
@@ -23,8 +22,7 @@ fn the_first_of_the_members_serves_and_all_others_know_it() {
 fn a_request_in_flight_completes_once_when_the_primary_is_killed() {
     for kind in [StandbyKind::Warm, StandbyKind::Hot] {
         for moment in 0..60 {
-            let mut robot = Robot::new(moment, 3, kind, OnPartition::Stop);
-            robot.advance_ms(100);
+            let mut robot = Robot::elected(moment, 3, kind);
             for _ in 0..5 {
                 robot.ask();
                 robot.advance_ms(5);
@@ -47,8 +45,7 @@ fn a_request_in_flight_completes_once_when_the_primary_is_killed() {
 #[test]
 fn the_next_primary_answers_after_one_round_trip_if_the_others_have_its_state() {
     for kind in [StandbyKind::Warm, StandbyKind::Hot] {
-        let mut robot = Robot::new(4, 3, kind, OnPartition::Stop);
-        robot.advance_ms(100);
+        let mut robot = Robot::elected(4, 3, kind);
         for _ in 0..5 {
             robot.ask();
             robot.advance_ms(5);
@@ -92,8 +89,7 @@ fn no_standby_takes_over_before_the_services_that_it_depends_on() {
 #[test]
 fn the_return_of_a_node_does_not_take_the_service_back() {
     for kind in [StandbyKind::Cold, StandbyKind::Warm, StandbyKind::Hot] {
-        let mut robot = Robot::new(3, 3, kind, OnPartition::Stop);
-        robot.advance_ms(100);
+        let mut robot = Robot::elected(3, 3, kind);
         robot.ask();
         robot.advance_ms(10);
         robot.kill(0);

@@ -170,8 +170,7 @@ fn a_candidate_without_votes_declares_what_may_prevent_them() {
 
 #[test]
 fn a_long_outage_wakes_the_replica_no_more_often_than_it_must() {
-    let mut robot = Robot::new(6, 1, StandbyKind::Warm, OnPartition::Stop);
-    robot.advance_ms(100);
+    let mut robot = Robot::elected(6, 1, StandbyKind::Warm);
     robot.rest(0, true);
     let own = &mut robot.members[0].as_mut().unwrap().replica;
     let (mut now, mut wakes) = (own.now, 0);

@@ -14,8 +14,7 @@ fn messages_of_strangers_and_undecodable_ones_are_refused() {
 
 #[test]
 fn a_request_that_comes_again_is_answered_from_the_table_and_too_many_are_refused() {
-    let mut robot = Robot::new(1, 1, StandbyKind::Warm, OnPartition::Stop);
-    robot.advance_ms(100);
+    let mut robot = Robot::elected(1, 1, StandbyKind::Warm);
     let first = robot.ask();
     robot.advance_ms(10);
     robot.callers[first].answered = None;
@@ -36,8 +35,7 @@ fn a_request_that_comes_again_is_answered_from_the_table_and_too_many_are_refuse
 
 #[test]
 fn a_request_whose_deadline_passed_while_it_waited_is_not_begun() {
-    let mut robot = Robot::new(1, 1, StandbyKind::Warm, OnPartition::Stop);
-    robot.advance_ms(100);
+    let mut robot = Robot::elected(1, 1, StandbyKind::Warm);
     let now = robot.clock(robot.members[0].as_ref().unwrap().drift);
     let own = robot.members[0].as_mut().unwrap();
     let id = |sequence| MessageId { sender: 2, sequence };
@@ -60,8 +58,7 @@ fn a_request_whose_deadline_passed_while_it_waited_is_not_begun() {
 /// Returns the lengths of the entries that a warm primary sends after requests with these states,
 /// and its other outputs.
 fn entries_of(states: &[Vec<u8>]) -> (Vec<usize>, Vec<ReplicaOutput>) {
-    let mut robot = Robot::new(3, 3, StandbyKind::Warm, OnPartition::Stop);
-    robot.advance_ms(100);
+    let mut robot = Robot::elected(3, 3, StandbyKind::Warm);
     let (mut lengths, mut others) = (Vec::new(), Vec::new());
     for (sequence, state) in states.iter().enumerate() {
         let now = robot.clock(robot.members[0].as_ref().unwrap().drift);
@@ -110,8 +107,7 @@ fn a_request_that_makes_the_state_too_large_fails_and_is_undone_and_the_fault_is
 #[test]
 fn replies_are_kept_until_their_callers_have_them_and_no_longer() {
     for kind in [StandbyKind::Warm, StandbyKind::Hot] {
-        let mut robot = Robot::new(8, 3, kind, OnPartition::Stop);
-        robot.advance_ms(100);
+        let mut robot = Robot::elected(8, 3, kind);
         for _ in 0..50 {
             robot.ask();
             robot.advance_ms(4);

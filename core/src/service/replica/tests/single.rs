@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::service::configuration::ServiceConfiguration;
+use crate::testing::at;
 
 /// Returns the configuration of a node with this list.
 fn listing(own: usize, members: &[usize]) -> ReplicaConfig {
@@ -13,10 +14,6 @@ fn listing(own: usize, members: &[usize]) -> ReplicaConfig {
         depends: false,
         heartbeat_interval: HEARTBEAT,
     }
-}
-
-fn at(millis: u64) -> Instant {
-    Instant::from_millis(millis)
 }
 
 fn started(config: ReplicaConfig) -> Replica {

@@ -15,8 +15,7 @@ impl Robot {
 
 #[test]
 fn a_hot_service_whose_standbys_all_rest_goes_on_and_declares_that_a_failure_loses_its_state() {
-    let mut robot = Robot::new(4, 3, StandbyKind::Hot, OnPartition::Stop);
-    robot.advance_ms(100);
+    let mut robot = Robot::elected(4, 3, StandbyKind::Hot);
     robot.ask_some(3);
     assert_eq!(robot.with(&FaultKind::Unreplicated), []);
 
@@ -47,8 +46,7 @@ fn a_hot_service_whose_standbys_all_rest_goes_on_and_declares_that_a_failure_los
 #[test]
 fn a_service_that_starts_again_as_no_member_holds_its_state_declares_so() {
     for returns in [[1, 2], [2, 0], [0, 1]] {
-        let mut robot = Robot::new(4, 3, StandbyKind::Hot, OnPartition::Stop);
-        robot.advance_ms(100);
+        let mut robot = Robot::elected(4, 3, StandbyKind::Hot);
         (1..3).for_each(|member| robot.rest(member, true));
         robot.advance_ms(100);
         robot.ask_some(3);
@@ -86,8 +84,7 @@ fn a_service_that_starts_again_as_no_member_holds_its_state_declares_so() {
 
 #[test]
 fn the_fault_of_a_lost_state_stands_while_the_primary_that_started_without_it_serves() {
-    let mut robot = Robot::new(6, 3, StandbyKind::Hot, OnPartition::Stop);
-    robot.advance_ms(100);
+    let mut robot = Robot::elected(6, 3, StandbyKind::Hot);
     robot.ask_some(3);
     robot.stop_for(&[0, 1, 2], Duration::from_millis(1));
     (0..3).for_each(|member| robot.lose(member));
@@ -104,8 +101,7 @@ fn the_fault_of_a_lost_state_stands_while_the_primary_that_started_without_it_se
 
 #[test]
 fn the_only_member_whose_hot_component_died_declares_that_its_state_is_lost() {
-    let mut robot = Robot::new(6, 1, StandbyKind::Hot, OnPartition::Stop);
-    robot.advance_ms(100);
+    let mut robot = Robot::elected(6, 1, StandbyKind::Hot);
     robot.lose(0);
     assert_eq!(robot.with(&FaultKind::StateLost), [], "there was none");
     robot.ask_some(2);
@@ -139,8 +135,7 @@ fn a_primary_that_is_cut_off_from_all_standbys_and_goes_on_declares_that_it_hold
 
 #[test]
 fn replies_wait_for_a_standby_that_comes_into_step_but_not_for_one_that_never_does() {
-    let mut robot = Robot::new(4, 2, StandbyKind::Warm, OnPartition::Stop);
-    robot.advance_ms(100);
+    let mut robot = Robot::elected(4, 2, StandbyKind::Warm);
     robot.ask_some(2);
     // Snapshots to it are lost.
     robot.withheld = Some(1);
@@ -164,8 +159,7 @@ fn replies_wait_for_a_standby_that_comes_into_step_but_not_for_one_that_never_do
 
 #[test]
 fn a_standby_whose_component_cannot_take_the_state_over_holds_nothing() {
-    let mut robot = Robot::new(4, 2, StandbyKind::Hot, OnPartition::Stop);
-    robot.advance_ms(100);
+    let mut robot = Robot::elected(4, 2, StandbyKind::Hot);
     robot.ask_some(2);
     let standby = 1 - robot.primaries()[0];
     robot.unloadable = Some(standby);
@@ -189,8 +183,7 @@ fn a_standby_whose_component_cannot_take_the_state_over_holds_nothing() {
 
 #[test]
 fn a_standby_at_rest_is_sent_no_state_that_it_cannot_keep() {
-    let mut robot = Robot::new(4, 3, StandbyKind::Hot, OnPartition::Stop);
-    robot.advance_ms(100);
+    let mut robot = Robot::elected(4, 3, StandbyKind::Hot);
     robot.rest(2, true);
     robot.advance_ms(100);
     let before = robot.snapshots;

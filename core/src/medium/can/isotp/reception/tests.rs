@@ -1,13 +1,10 @@
 use super::super::pdu::Pdu;
 use super::*;
 use crate::medium::can::{CanId, Format};
+use crate::testing::at;
 
 fn config() -> IsoTpConfig {
     IsoTpConfig { message_max: 100, block_size: 2, ..IsoTpConfig::default() }
-}
-
-fn at(millis: u64) -> Instant {
-    Instant::from_millis(millis)
 }
 
 fn with(test: impl FnOnce(ReceptionContext<'_>)) {

@@ -1,12 +1,9 @@
 use super::*;
 use crate::medium::can::{CanId, Format};
+use crate::testing::at;
 
 fn writer() -> PduWriter {
     PduWriter { id: CanId::standard(1).unwrap(), format: Format::Classic }
-}
-
-fn at(millis: u64) -> Instant {
-    Instant::from_millis(millis)
 }
 
 fn word(status: FlowStatus, block_size: u8, separation_ms: u64) -> FlowControl {
