@@ -14,8 +14,9 @@ use crate::variable::ports::VariablePort;
 use crate::variable::{DeclaredVariable, RestorePolicy, VariableRef, declared};
 use blastema_core::contract::codec;
 use blastema_core::parameters::{ParameterError, ParameterValue, Parameters};
-use blastema_core::sorted::{SortedMap, SortedSet};
+use blastema_core::sorted::SortedMap;
 use blastema_core::{DeliveryError, ObjectName, suggestion};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use toml::{Table, Value};
@@ -39,7 +40,7 @@ struct Inner {
     /// The file that each value stands in, by component and key, where it is from one.
     files: SortedMap<(String, String), PathBuf>,
     /// Components that have parameters.
-    takers: SortedSet<String>,
+    takers: BTreeSet<String>,
 }
 
 impl Inner {

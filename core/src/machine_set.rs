@@ -1,7 +1,8 @@
 //! Many machines of one kind, driven as one.
 
-use crate::sorted::{SortedMap, SortedSet};
+use crate::sorted::SortedMap;
 use crate::{Instant, Machine};
+use std::collections::BTreeSet;
 
 /// Machines by key: the links over one transport, the sessions of one node.
 ///
@@ -11,8 +12,8 @@ use crate::{Instant, Machine};
 pub struct MachineSet<K, M> {
     members: SortedMap<K, M>,
     /// Those that may have outputs.
-    talking: SortedSet<K>,
-    due: SortedSet<(Instant, K)>,
+    talking: BTreeSet<K>,
+    due: BTreeSet<(Instant, K)>,
     due_of: SortedMap<K, Instant>,
 }
 
@@ -20,8 +21,8 @@ impl<K, M> Default for MachineSet<K, M> {
     fn default() -> Self {
         MachineSet {
             members: SortedMap::new(),
-            talking: SortedSet::new(),
-            due: SortedSet::new(),
+            talking: BTreeSet::new(),
+            due: BTreeSet::new(),
             due_of: SortedMap::new(),
         }
     }

@@ -14,9 +14,9 @@ use crate::registry::ContractPort;
 use crate::settings::{COMMAND_TIMEOUT, LEASE, SHUTDOWN_WITHIN};
 use blastema_core::lease::Lease;
 use blastema_core::port::ConnectionRole;
-use blastema_core::sorted::SortedSet;
 use blastema_core::suggestion::nearest;
 use blastema_core::{Contract, DeliveryError, ObjectName};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -102,12 +102,12 @@ impl<C: Component> Declarations<C> for ActuatorPorts<C> {
     fn check(
         &self,
         component: &ObjectName,
-        served: &SortedSet<&'static str>,
+        served: &BTreeSet<&'static str>,
     ) -> Result<(), SpecError> {
         let twice = |contract, ports| {
             Err(SpecError::PortTwice { name: component.clone(), contract, ports })
         };
-        let mut commanded = SortedSet::new();
+        let mut commanded = BTreeSet::new();
         for (actuator, ..) in &self.declared {
             let actuator = actuator
                 .as_ref()

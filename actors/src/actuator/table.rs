@@ -20,12 +20,13 @@ use blastema_core::lease::{
     CommanderId, Lease, LeaseOutput, LeaseRules, LeaseStatus, RestCause, StopBy,
 };
 use blastema_core::net::trust::policy::Verb;
-use blastema_core::sorted::{SortedMap, SortedSet};
+use blastema_core::sorted::SortedMap;
 use blastema_core::{
     ContractIdentity, DeliveryError, FaultKind, GatherBuffer, Incarnation, Instant, Machine,
     ObjectName,
 };
 use bytes::Bytes;
+use std::collections::BTreeSet;
 use std::sync::atomic::Ordering::{Relaxed, SeqCst};
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Arc, Mutex};
@@ -115,9 +116,9 @@ pub(crate) struct ActuatorTable {
     /// The node is in the safe state, in which no lease is granted.
     rests: Arc<AtomicBool>,
     /// The nodes whose commanders were lost, and components whose rungs are not carried out.
-    suspended: Arc<Mutex<SortedSet<String>>>,
+    suspended: Arc<Mutex<BTreeSet<String>>>,
     /// The actuators that policies for lost communication have rungs for.
-    with_policy: Arc<Mutex<SortedSet<ActuatorKey>>>,
+    with_policy: Arc<Mutex<BTreeSet<ActuatorKey>>>,
     /// What policies for lost communication have done now.
     rungs: Arc<Mutex<SortedMap<ActuatorKey, RungOrder>>>,
 }

@@ -6,8 +6,8 @@ use crate::component::cell::ComponentCell;
 use crate::component::spec_error::SpecError;
 use crate::liveness::limits::ComponentLimits;
 use blastema_core::ObjectName;
-use blastema_core::sorted::SortedSet;
 use std::any::Any;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -17,7 +17,7 @@ pub(crate) trait Declarations<C: Component>: Any {
     fn check(
         &self,
         component: &ObjectName,
-        served: &SortedSet<&'static str>,
+        served: &BTreeSet<&'static str>,
     ) -> Result<(), SpecError>;
 
     /// All settings of a description that do not suit it.

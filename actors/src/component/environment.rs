@@ -7,10 +7,10 @@ use crate::registry::Registry;
 use crate::runtime::reports::FaultReports;
 use crate::settings::FAULT_HOLD;
 use blastema_contract::reports::FaultDeclared;
-use blastema_core::sorted::SortedSet;
 use blastema_core::suggestion::nearest;
 use blastema_core::{FaultKind, ObjectName};
 use std::any::Any;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use tracing::error;
@@ -23,7 +23,7 @@ pub(crate) struct ComponentEnvironment {
     pub(crate) dead_letters: DeadLetterLog,
     pub(crate) watch_list: SampledComponents,
     /// The codes of the application's own list of faults.
-    pub(crate) fault_codes: Arc<SortedSet<Arc<str>>>,
+    pub(crate) fault_codes: Arc<BTreeSet<Arc<str>>>,
     /// What the features of the node keep for it: one value of each type.
     pub(crate) features: Vec<Box<dyn Any + Send + Sync>>,
     /// The longest `shutdown_within` of a component, in milliseconds.

@@ -6,9 +6,10 @@ use crate::component::{Component, Failure};
 use crate::liveness::activity::ActivityRecord;
 use crate::messaging::incarnation::IncarnationToken;
 use crate::platform;
-use blastema_core::sorted::{SortedMap, SortedSet};
+use blastema_core::sorted::SortedMap;
 use blastema_core::{FaultKind, Incarnation, Instant};
 use std::cell::{Cell, OnceCell, RefCell};
+use std::collections::BTreeSet;
 use std::future::Future;
 use std::pin::Pin;
 use std::rc::Rc;
@@ -89,7 +90,7 @@ pub(crate) struct DeclaredFaults {
     /// How many faults of each kind were declared within a second, which began then.
     pub(crate) counts: RefCell<SortedMap<FaultKind, (Instant, u32)>>,
     /// Checks that failed and have not passed since.
-    pub(crate) failed_checks: RefCell<SortedSet<String>>,
+    pub(crate) failed_checks: RefCell<BTreeSet<String>>,
 }
 
 pub(crate) struct IncarnationState<C: Component> {

@@ -11,10 +11,11 @@ use crate::registry::ContractPort;
 use crate::registry::ports::DeclaredPort;
 use blastema_core::parameters::{ParameterDescription, ParameterError, ParameterValue};
 use blastema_core::port::{ConnectionRole, PortDescription, TypeDescription};
-use blastema_core::sorted::{SortedMap, SortedSet};
+use blastema_core::sorted::SortedMap;
 use blastema_core::{Contract, ContractIdentity, Event, NameError, ObjectName, Request};
 use std::any::{Any, TypeId};
 use std::borrow::Cow;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -187,7 +188,7 @@ impl<C: Component> Ports<C> {
 
     /// Finds what contradicts itself.
     pub(crate) fn check(&self, component: &ObjectName) -> Result<(), SpecError> {
-        let (mut served, mut names) = (SortedSet::new(), SortedSet::new());
+        let (mut served, mut names) = (BTreeSet::new(), BTreeSet::new());
         for DeclaredPort { name: port, role, identity } in &self.declared {
             let (component, contract) = (component.clone(), identity.name);
             if *role == ConnectionRole::Serves && !served.insert(contract) {

@@ -26,7 +26,6 @@ use crate::component::spec_error::SpecError;
 use crate::host::spec::ChildSpec;
 use crate::variable::VariableSpec;
 use blastema_core::port::TypeDescription;
-use blastema_core::sorted::SortedSet;
 use blastema_core::{Contract, Event, ObjectName, Request, Variable};
 use blastema_lite::{HostConfig, PORTS_MAX, Port, PortKind, Tries, message};
 use line::{DeviceLine, LineClaim};
@@ -34,6 +33,7 @@ use medium::DeviceMedium;
 use port::{DevicePort, PortUse};
 use proxy::ProxySettings;
 use std::any::TypeId;
+use std::collections::BTreeSet;
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
@@ -103,7 +103,7 @@ struct DeviceDeclaration {
 }
 
 impl Declarations<DeviceProxy> for DeviceDeclaration {
-    fn check(&self, name: &ObjectName, _: &SortedSet<&'static str>) -> Result<(), SpecError> {
+    fn check(&self, name: &ObjectName, _: &BTreeSet<&'static str>) -> Result<(), SpecError> {
         let Some((setting, why)) = self.problem.clone() else { return Ok(()) };
         Err(SpecError::Device { name: name.clone(), setting, why })
     }

@@ -10,7 +10,7 @@ use crate::host::spec::ChildSpec;
 use crate::settings::SettingError;
 use blastema_core::ObjectName;
 use blastema_core::directory::ClaimRequest;
-use blastema_core::sorted::SortedSet;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// The names that a component claims.
@@ -18,8 +18,8 @@ use std::sync::Arc;
 struct ClaimedNames(Vec<(String, ClaimPolicy)>);
 
 impl<C: Component> Declarations<C> for ClaimedNames {
-    fn check(&self, component: &ObjectName, _: &SortedSet<&'static str>) -> Result<(), SpecError> {
-        let mut names = SortedSet::new();
+    fn check(&self, component: &ObjectName, _: &BTreeSet<&'static str>) -> Result<(), SpecError> {
+        let mut names = BTreeSet::new();
         for (name, _) in &self.0 {
             ObjectName::new(name)?;
             if !names.insert(name) {

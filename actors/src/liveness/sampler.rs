@@ -18,8 +18,9 @@ use blastema_core::detection::hang::{
     HangLimits, JudgedComponent, LivenessEvent, Looked, QueueReading, SlotId, SlotTable,
 };
 use blastema_core::detection::{CurrentHandler, MonitorRow, QueueSample, RoundLateness};
-use blastema_core::sorted::{SortedMap, SortedSet};
+use blastema_core::sorted::SortedMap;
 use blastema_core::{FaultLocation, Incarnation, Instant, Machine, NodeName, ObjectName};
+use std::collections::BTreeSet;
 use std::io;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::Relaxed;
@@ -77,7 +78,7 @@ struct Entries {
     /// The component that declares its ports now, before it has a slot.
     declaring: Mutex<Option<ObjectName>>,
     /// The slots whose entries the watch has not learnt of yet.
-    changed: Mutex<SortedSet<u32>>,
+    changed: Mutex<BTreeSet<u32>>,
     last: Mutex<LastLook>,
 }
 

@@ -30,7 +30,7 @@ use blastema_core::net::peer_protocol::{
     Call, PeerProtocol, PeerProtocolOutput, SessionEpoch, TopicContract, TransmitState,
 };
 use blastema_core::net::{NodeId, Peer};
-use blastema_core::sorted::{SortedMap, SortedSet};
+use blastema_core::sorted::SortedMap;
 use blastema_core::{
     DeliveryError, FaultKind, GatherBuffer, Incarnation, Instant, NodeName, ObjectAddress,
     ObjectName, TrafficClass,
@@ -38,6 +38,7 @@ use blastema_core::{
 use bytes::Bytes;
 use forbidden::ForbiddenAlarm;
 use inbound::{InboundBacklog, PeerBinding};
+use std::collections::BTreeSet;
 use std::sync::{Arc, Weak};
 use std::time::Duration;
 use subscriptions::Forwarded;
@@ -58,7 +59,7 @@ struct GatewaySetup {
     stubs: Arc<PeerStubs>,
     deaths: DeathWatchService,
     dead_letters: DeadLetterLog,
-    may_be_away: SortedSet<NodeName>,
+    may_be_away: BTreeSet<NodeName>,
     /// The directory of this node, and those of others.
     directory: Option<Recipient<DirectoryReport>>,
     /// Checks the rosters of other nodes. It ends with the node's network.

@@ -12,10 +12,10 @@ use blastema_core::net::trust::key_file::KeyFile;
 use blastema_core::net::trust::policy::Role;
 use blastema_core::net::trust::roster::{NodeRoster, RosterOrder};
 use blastema_core::net::{NeighbourKey, NodeId};
-use blastema_core::sorted::SortedSet;
 use blastema_core::{Incarnation, NodeName};
 use bytes::Bytes;
 use serde::Serialize;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use zeroize::Zeroizing;
 
@@ -252,7 +252,7 @@ impl NodeKeys {
     }
 
     /// The nodes of the roster.
-    pub(crate) fn listed(&self) -> SortedSet<NodeName> {
+    pub(crate) fn listed(&self) -> BTreeSet<NodeName> {
         self.roster.nodes().iter().map(|node| node.name.clone()).collect()
     }
 

@@ -37,8 +37,9 @@ use blastema_core::net::{
     AddLinkError, ByteRates, Link, LinkConfig, LinkId, LinkLayer, LinkLayerOutput, LinkOutput,
     LinkState,
 };
-use blastema_core::sorted::{SortedMap, SortedSet};
+use blastema_core::sorted::SortedMap;
 use blastema_core::{GatherBuffer, Incarnation, Instant, NodeName};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 use tracing::{error, info, warn};
@@ -96,7 +97,7 @@ pub(super) struct LinksActor {
     /// What the router was reported last: it must be taken back when the actor restarts.
     reported: SortedMap<LinkId, LinkStatus>,
     /// Those whose neighbour was never heard while the medium could not be opened.
-    unheard: SortedSet<LinkId>,
+    unheard: BTreeSet<LinkId>,
     complaints: RefusalAlarms<Option<LinkId>>,
     names: NamesTaken,
     /// Where neighbours are learned of.
@@ -133,7 +134,7 @@ impl LinksActor {
             wake: WakeTimer::default(),
             medium: MediumState::default(),
             reported: SortedMap::new(),
-            unheard: SortedSet::new(),
+            unheard: BTreeSet::new(),
             complaints: RefusalAlarms::default(),
             names: NamesTaken::default(),
             discovery,

@@ -65,9 +65,9 @@ use blastema_contract::strategy::{IsolateNode, Reroute};
 use blastema_contract::transport::{MediumAddress, ReadCounters, Transport, TransportCounters};
 use blastema_core::net::LinkId;
 use blastema_core::net::discovery::LEARNED_MAX;
-use blastema_core::sorted::SortedSet;
 use blastema_core::{Incarnation, NodeName, ObjectName};
 use roster_watch::RosterWatch;
+use std::collections::BTreeSet;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
@@ -139,7 +139,7 @@ pub(crate) struct NetEnvironment {
     /// Gets what was accepted and did not arrive.
     pub(crate) dead_letters: DeadLetterLog,
     /// Other nodes that may be away without a fault.
-    pub(crate) may_be_away: SortedSet<NodeName>,
+    pub(crate) may_be_away: BTreeSet<NodeName>,
     /// The fault chain.
     pub(crate) reports: NetReports,
     /// When the session with a peer that does not answer ends.

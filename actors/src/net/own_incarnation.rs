@@ -76,7 +76,7 @@ fn read(file: &Path, node: &NodeName) -> Result<Option<Incarnation>, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use blastema_core::sorted::SortedSet;
+    use std::collections::BTreeSet;
     use std::{fs, thread};
 
     const NOON: Incarnation = Incarnation(1_795_500_000_000);
@@ -149,7 +149,7 @@ mod tests {
         });
 
         assert!(numbers.iter().all(|(_, complaint)| complaint.is_none()), "{numbers:?}");
-        let different: SortedSet<_> = numbers.iter().map(|(number, _)| *number).collect();
+        let different: BTreeSet<_> = numbers.iter().map(|(number, _)| *number).collect();
         assert_eq!(different.len(), 8);
         assert_eq!(numbered(&file, &base(), NOON).0, Incarnation(NOON.0 + 8));
     }

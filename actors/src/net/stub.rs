@@ -7,11 +7,12 @@ use crate::registry::remote::{OutgoingRequest, RemoteStub, StubFactory};
 use actix::Recipient;
 use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::net::session::PAYLOAD_MAX;
-use blastema_core::sorted::{SortedMap, SortedSet};
+use blastema_core::sorted::SortedMap;
 use blastema_core::{
     ContractIdentity, Delivery, DeliveryError, GatherBuffer, NodeName, ObjectAddress, ObjectName,
     TrafficClass,
 };
+use std::collections::BTreeSet;
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::atomic::Ordering::Relaxed;
@@ -42,7 +43,7 @@ pub(super) struct PeerSendState {
     isolated: AtomicBool,
     credits: SendCredits,
     /// Its objects that have no room: as many as this node sends to at most.
-    full: Mutex<SortedSet<ObjectName>>,
+    full: Mutex<BTreeSet<ObjectName>>,
     /// There are some; to be looked at without the lock.
     any_full: AtomicBool,
     /// In this session the peer has told what it listens to, and that its objects answer.
@@ -121,7 +122,7 @@ impl PeerSendState {
         self.condition() == PeerCondition::Open
     }
 
-    fn lock_full(&self) -> MutexGuard<'_, SortedSet<ObjectName>> {
+    fn lock_full(&self) -> MutexGuard<'_, BTreeSet<ObjectName>> {
         self.full.lock().unwrap_or_else(PoisonError::into_inner)
     }
 

@@ -42,7 +42,6 @@ use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::detection::{LinkCondition, NodeCondition};
 use blastema_core::net::session::IDLE_TIMEOUT;
 use blastema_core::net::{LinkId, LinkState};
-use blastema_core::sorted::SortedSet;
 use blastema_core::{
     DeliveryError, Fault, FaultId, FaultKind, FaultLocation, Incarnation, NodeName, ObjectName,
     Severity,
@@ -51,6 +50,7 @@ use blastema_doubles::{Probe, advance, settle};
 use blastema_transports::{
     FaultInjector, FaultInjectorConfig, FrameTransport, Memory, MemoryMedium,
 };
+use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -199,7 +199,7 @@ impl Robot {
             registry: host.registry.clone(),
             topics: host.feature::<Topics>().clone(),
             dead_letters: host.dead_letters.clone(),
-            may_be_away: SortedSet::new(),
+            may_be_away: BTreeSet::new(),
             reports: NetReports {
                 recoverer: Some(faults.recipient()),
                 links: Some(links.recipient()),

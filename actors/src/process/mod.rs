@@ -21,8 +21,8 @@ use crate::liveness::limits::ComponentLimits;
 use crate::platform::processes::{ProgramCall, launcher};
 use crate::settings::{MEMORY_LIMIT, WATCHDOG};
 use blastema_core::ObjectName;
-use blastema_core::sorted::SortedSet;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 use std::ffi::OsString;
 use std::fmt;
 use std::os::unix::fs::PermissionsExt;
@@ -190,7 +190,7 @@ fn check_program(path: &Path, shown: &dyn fmt::Display) -> Result<(), String> {
 struct ProcessDeclaration(Option<ProcessSpec>);
 
 impl Declarations<SupervisedProcess> for ProcessDeclaration {
-    fn check(&self, _: &ObjectName, _: &SortedSet<&'static str>) -> Result<(), SpecError> {
+    fn check(&self, _: &ObjectName, _: &BTreeSet<&'static str>) -> Result<(), SpecError> {
         Ok(())
     }
 

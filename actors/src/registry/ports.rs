@@ -10,9 +10,10 @@ use blastema_core::port::{
     ConnectError, ConnectionEnd, ConnectionRole, PortAddress, PortConnection, PortDescription,
     resolve,
 };
-use blastema_core::sorted::{SortedMap, SortedSet};
+use blastema_core::sorted::SortedMap;
 use blastema_core::{ContractIdentity, DeliveryError, NameError, ObjectName};
 use std::borrow::Cow;
+use std::collections::BTreeSet;
 use tokio::sync::watch;
 use tracing::warn;
 
@@ -38,11 +39,11 @@ impl DeclaredPort {
 #[derive(Default)]
 pub(super) struct Connections {
     /// Those of listeners.
-    listening: SortedSet<PortConnection>,
+    listening: BTreeSet<PortConnection>,
     /// Where out ports that command or ask lead.
     leading: SortedMap<PortAddress, PortAddress>,
     /// Components that come and go, and the connections to be made when they come.
-    kept: SortedMap<ObjectName, SortedSet<PortConnection>>,
+    kept: SortedMap<ObjectName, BTreeSet<PortConnection>>,
     /// Rises whenever a port is connected or disconnected.
     changes: watch::Sender<u64>,
 }
@@ -168,7 +169,7 @@ impl Registry {
         let PortConnection { from, to } = &connection;
         let mut inner = self.lock();
         let Inner { objects, connections, .. } = &mut *inner;
-        let waits = connections.kept.values().map(SortedSet::len).sum::<usize>();
+        let waits = connections.kept.values().map(BTreeSet::len).sum::<usize>();
         if connections.listening.len() + connections.leading.len() + waits >= CONNECTION_LIMIT {
             return Err(ConnectError::TooMany { limit: CONNECTION_LIMIT });
         }

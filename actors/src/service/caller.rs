@@ -10,11 +10,11 @@ use crate::registry::Registry;
 use blastema_core::contract::codec;
 use blastema_core::delivery::retry::FailedAttempt;
 use blastema_core::service::ServiceOutcome;
-use blastema_core::sorted::SortedSet;
 use blastema_core::{
     ContractIdentity, DeliveryError, Instant, MessageId, NameError, NodeName, ObjectName, Request,
     RetryPolicy,
 };
+use std::collections::BTreeSet;
 use std::fmt;
 use std::marker::PhantomData;
 use std::sync::Mutex;
@@ -44,7 +44,7 @@ impl<M: Request> fmt::Debug for ServiceRef<M> {
 struct OpenRequest(u64);
 
 /// The requests of this process that wait, by number: as many as it has in flight.
-static OPEN: Mutex<SortedSet<u64>> = Mutex::new(SortedSet::new());
+static OPEN: Mutex<BTreeSet<u64>> = Mutex::new(BTreeSet::new());
 
 impl OpenRequest {
     /// Returns a new identity, and the number below which all requests have their replies.

@@ -30,9 +30,9 @@ use crate::host::spec::ChildSpec;
 use crate::platform::panics;
 use crate::registry::ContractPort;
 use blastema_core::service::{HEARTBEAT_MAX, HEARTBEAT_MIN, MEMBERS_MAX, ReplicaConfig};
-use blastema_core::sorted::SortedSet;
 use blastema_core::{DeliveryError, NodeName, ObjectName};
 use bytes::Bytes;
+use std::collections::BTreeSet;
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
@@ -199,7 +199,7 @@ pub(crate) struct ServiceRefused {
 /// Checks that the nodes of a service differ, are not too many, and that this is one of them; and
 /// that its heartbeats can be sent.
 fn check(config: &ReplicaConfig) -> Result<(), String> {
-    let different: SortedSet<_> = config.members.iter().collect();
+    let different: BTreeSet<_> = config.members.iter().collect();
     let listed = config.members.len();
     Err(if !different.contains(&config.own) {
         format!("{} is none of its nodes: add it, or leave the service out here", config.own)

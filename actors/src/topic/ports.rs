@@ -8,9 +8,9 @@ use crate::component::spec_error::SpecError;
 use crate::component::subscription::{Subscription, Subscriptions};
 use crate::component::{Component, Handle};
 use blastema_core::port::ConnectionRole;
-use blastema_core::sorted::SortedSet;
 use blastema_core::{DeliveryError, Event, ObjectName};
 use std::borrow::Cow;
+use std::collections::BTreeSet;
 use std::panic::Location;
 use std::sync::Arc;
 
@@ -20,8 +20,8 @@ type Bind<C> = Box<dyn FnOnce(&Topics) -> Result<Arc<dyn Subscription<C>>, Deliv
 type ListenPorts<C> = Vec<(String, &'static str, Bind<C>)>;
 
 impl<C: Component> Declarations<C> for ListenPorts<C> {
-    fn check(&self, name: &ObjectName, _: &SortedSet<&'static str>) -> Result<(), SpecError> {
-        let mut known = SortedSet::new();
+    fn check(&self, name: &ObjectName, _: &BTreeSet<&'static str>) -> Result<(), SpecError> {
+        let mut known = BTreeSet::new();
         // One topic carries one contract: that is found where they are bound.
         match self.iter().find(|(topic, contract, _)| !known.insert((topic, contract))) {
             Some((topic, ..)) => {

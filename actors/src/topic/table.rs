@@ -10,10 +10,11 @@ use crate::messaging::dead_letters::DeadLetterLog;
 use crate::platform;
 use crate::registry::difference;
 use crate::runtime::reports::FaultReports;
-use blastema_core::sorted::{SortedMap, SortedSet};
+use blastema_core::sorted::SortedMap;
 use blastema_core::{ContractIdentity, DeliveryError, Event, NodeName, ObjectName, PeerIdentity};
 use bytes::Bytes;
 use std::any::{Any, type_name};
+use std::collections::BTreeSet;
 use std::fmt;
 use std::panic::Location;
 use std::sync::atomic::Ordering::Relaxed;
@@ -350,7 +351,7 @@ impl TopicTable {
         let forwards = forwards.into_iter().flat_map(SortedMap::values);
         let understood =
             forwards.filter(|kept| kept.is_understood_of(&identity) && !kept.forward.has_ended());
-        let nodes: SortedSet<NodeName> = understood.map(|kept| kept.node.clone()).collect();
+        let nodes: BTreeSet<NodeName> = understood.map(|kept| kept.node.clone()).collect();
         nodes.into_iter().collect()
     }
 

@@ -7,8 +7,8 @@ use crate::component::cell::ComponentCell;
 use crate::component::declaration::{CellListener, Declarations};
 use crate::component::ports::Ports;
 use crate::component::spec_error::SpecError;
-use blastema_core::sorted::SortedSet;
 use blastema_core::{ObjectName, Variable};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// A variable that a component declares.
@@ -38,7 +38,7 @@ impl CellListener for Withdrawal {
 }
 
 impl<C: Component> Declarations<C> for Vec<VariablePort<C>> {
-    fn check(&self, component: &ObjectName, _: &SortedSet<&'static str>) -> Result<(), SpecError> {
+    fn check(&self, component: &ObjectName, _: &BTreeSet<&'static str>) -> Result<(), SpecError> {
         let twice = |contract, ports| {
             Err(SpecError::PortTwice { name: component.clone(), contract, ports })
         };
@@ -46,7 +46,7 @@ impl<C: Component> Declarations<C> for Vec<VariablePort<C>> {
         if let Some(second) = sets.nth(1) {
             return twice(second.contract, "a component has one set of parameters");
         }
-        let mut known = SortedSet::new();
+        let mut known = BTreeSet::new();
         match self.iter().map(|port| port.contract).find(|name| !known.insert(*name)) {
             Some(contract) => twice(contract, "both by variable"),
             None => Ok(()),

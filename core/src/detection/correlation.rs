@@ -1,8 +1,9 @@
 //! What depends on what, and so: which fault is a symptom of which.
 
 use super::FaultLog;
-use crate::sorted::{SortedMap, SortedSet};
+use crate::sorted::SortedMap;
 use crate::{FaultId, FaultLocation, NodeName, ObjectAddress, ObjectName};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// The dependencies of this node's objects.
@@ -35,8 +36,8 @@ impl DependencyIndex {
 
     /// Everything without which `location` cannot work, directly or through others; not itself,
     /// unless it stands on a cycle.
-    pub(super) fn needs_of(&self, location: &FaultLocation) -> SortedSet<FaultLocation> {
-        let mut found = SortedSet::new();
+    pub(super) fn needs_of(&self, location: &FaultLocation) -> BTreeSet<FaultLocation> {
+        let mut found = BTreeSet::new();
         let mut open = vec![location.clone()];
         while let Some(next) = open.pop() {
             for need in self.direct_needs(&next) {

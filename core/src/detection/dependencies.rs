@@ -4,9 +4,10 @@
 //! objects that need each other each would be the symptom of the other, and neither the root: such
 //! a circle is refused before anything starts.
 
-use crate::sorted::{SortedMap, SortedSet};
+use crate::sorted::SortedMap;
 use crate::suggestion::nearest;
 use crate::{NameError, NodeName, ObjectName};
+use std::collections::BTreeSet;
 
 /// Why the dependencies of a node cannot be.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -139,7 +140,7 @@ impl Dependencies {
     /// # Errors
     /// Another object of the node needs one of them; all stay then.
     pub fn remove(&mut self, objects: &[ObjectName]) -> Result<(), DependencyError> {
-        let removed: SortedSet<&str> = objects.iter().map(ObjectName::as_str).collect();
+        let removed: BTreeSet<&str> = objects.iter().map(ObjectName::as_str).collect();
         let others = self.needs.iter().filter(|(by, _)| !removed.contains(by.as_str()));
         let needed = others.flat_map(|(by, needs)| needs.iter().map(move |needed| (by, needed)));
         let gone = |(_, needed): &(_, &String)| removed.contains(needed.as_str());

@@ -1,8 +1,9 @@
 //! The record of faults, and which of them stand.
 
 use super::{FaultEntry, FaultRecord};
-use crate::sorted::{SortedMap, SortedSet};
+use crate::sorted::SortedMap;
 use crate::{Fault, FaultId, FaultKind, FaultLocation, Instant};
+use std::collections::BTreeSet;
 
 /// The record of faults: found, decided, recovered, repaired, with the instants; and the latches.
 ///
@@ -109,7 +110,7 @@ impl FaultLog {
 
     /// Follows a symptom up to its root.
     pub fn root(&self, id: FaultId) -> FaultId {
-        let (mut root, mut passed) = (id, SortedSet::new());
+        let (mut root, mut passed) = (id, BTreeSet::new());
         while passed.insert(root)
             && let Some(above) = self.entry(root).and_then(|entry| entry.fault.symptom_of)
             && self.entries.contains_key(&above)

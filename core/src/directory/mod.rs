@@ -32,10 +32,10 @@ use self::claims::OwnClaim;
 use self::types::NameClaim;
 use crate::net::trust::access::AccessPolicy;
 use crate::net::wire::Refusals;
-use crate::sorted::{SortedMap, SortedSet};
+use crate::sorted::SortedMap;
 use crate::timer::Timers;
 use crate::{Incarnation, Instant, Machine, NodeName, ObjectName};
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 
 /// The most claims of one node: what a large robot has in all, ten times over.
 pub const CLAIMS_MAX: usize = 10_000;
@@ -58,7 +58,7 @@ struct DirectoryPeer {
     ended: bool,
     records: SortedMap<DirectoryKey, NameClaim>,
     /// Which of them it has told of since it began to tell all of them.
-    telling: Option<SortedSet<DirectoryKey>>,
+    telling: Option<BTreeSet<DirectoryKey>>,
     /// It has told all of them.
     complete: bool,
     refusals: Refusals,
@@ -183,14 +183,14 @@ impl Directory {
 
     /// This node has exactly these objects and publishers now. Returns how many of them others are
     /// not told of, because there are too many.
-    pub fn handle_present(&mut self, present: SortedSet<DirectoryKey>) -> usize {
+    pub fn handle_present(&mut self, present: BTreeSet<DirectoryKey>) -> usize {
         let (all, mut bytes) = (present.len(), 0);
         let fits = |key: &DirectoryKey| {
             bytes += key.bytes();
             bytes <= PRESENT_BYTES_MAX
         };
         let present = present.into_iter().take(PRESENT_MAX).take_while(fits);
-        let present: SortedSet<DirectoryKey> = present.collect();
+        let present: BTreeSet<DirectoryKey> = present.collect();
         let beyond = all - present.len();
         let told = self.records.keys().filter(|key| !matches!(key, DirectoryKey::Name(_)));
         let gone: Vec<_> = told.filter(|key| !present.contains(*key)).cloned().collect();

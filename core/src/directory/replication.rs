@@ -7,9 +7,9 @@ use super::{
     Reachability,
 };
 use crate::contract::codec;
-use crate::sorted::SortedSet;
 use crate::{Instant, NodeName};
 use bytes::Bytes;
+use std::collections::BTreeSet;
 
 /// How many records go into one message; at 420 bytes each it stays below any limit.
 const RECORDS_PER_MESSAGE: usize = 128;
@@ -45,7 +45,7 @@ impl Directory {
         now: Instant,
     ) {
         if let (true, Some(peer)) = (first, self.peers.get_mut(from)) {
-            peer.telling = Some(SortedSet::new());
+            peer.telling = Some(BTreeSet::new());
         }
         records.into_iter().for_each(|record| self.hear(from, record, now));
         let Some(peer) = self.peers.get_mut(from).filter(|_| last) else { return };

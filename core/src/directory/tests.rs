@@ -33,12 +33,12 @@ struct Robot {
     outputs: Vec<String>,
     /// Of nodes that start from now on.
     settle: Duration,
-    expected: SortedSet<NodeName>,
+    expected: BTreeSet<NodeName>,
 }
 
 impl Robot {
     fn new(names: &[&str]) -> Self {
-        let (settle, expected) = (Duration::ZERO, SortedSet::new());
+        let (settle, expected) = (Duration::ZERO, BTreeSet::new());
         let (nodes, underway, outputs) = (SortedMap::new(), vec![], vec![]);
         let mut robot = Robot { now: 0, nodes, parted: false, underway, outputs, settle, expected };
         names.iter().for_each(|name| robot.start(name, 0));

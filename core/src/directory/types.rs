@@ -1,10 +1,10 @@
 //! Configuration, inputs and outputs of the directory.
 
 use crate::net::trust::access::AccessDenied;
-use crate::sorted::SortedSet;
 use crate::{Incarnation, NodeName, ObjectName};
 use bytes::Bytes;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 use std::fmt;
 use std::time::Duration;
 
@@ -32,7 +32,7 @@ pub struct DirectoryConfig {
     pub settle: Duration,
     /// Once all of these have told what they have, claims are granted at once. Without any,
     /// `settle` is waited for.
-    pub expected: SortedSet<NodeName>,
+    pub expected: BTreeSet<NodeName>,
 }
 
 /// What an object claims.

@@ -7,10 +7,10 @@
 //! ```
 
 use crate::random::Random;
-use crate::sorted::{SortedMap, SortedSet};
+use crate::sorted::SortedMap;
 use crate::{Instant, Machine};
 use bytes::{Bytes, BytesMut};
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::time::Duration;
 
 /// How bad a medium is, in one direction.
@@ -152,7 +152,7 @@ const OVERTAKEN_AFTER: Duration = Duration::from_millis(10);
 pub struct ImpairedDirection<T: Impairable> {
     impairment: Impairment,
     cut: bool,
-    parted_from: SortedSet<T::Peer>,
+    parted_from: BTreeSet<T::Peer>,
     random: Random,
     limit: usize,
     /// Waits for another to overtake it, until then.
@@ -196,7 +196,7 @@ impl<T: Impairable> ImpairedDirection<T> {
         ImpairedDirection {
             impairment: Impairment::NONE,
             cut: false,
-            parted_from: SortedSet::new(),
+            parted_from: BTreeSet::new(),
             random: Random::new(seed),
             limit,
             overtaken: None,

@@ -8,9 +8,9 @@
 //! kept in all, is bounded. Those beyond the bound are counted.
 
 use super::wire::Refusals;
-use crate::sorted::{SortedMap, SortedSet};
+use crate::sorted::SortedMap;
 use crate::{Instant, NodeName};
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::time::Duration;
 
 /// The most neighbours that are learned on one network: with as many that are described, a router's
@@ -28,7 +28,7 @@ pub enum DiscoveryAdmission {
     /// Each node whose beacon is received.
     AnyNode,
     /// These, and no others.
-    Only(SortedSet<NodeName>),
+    Only(BTreeSet<NodeName>),
 }
 
 impl DiscoveryAdmission {

@@ -1,9 +1,10 @@
 //! Which ladder of actions answers which kind of fault: fixed when the robot is designed.
 
 use super::{Ladder, LadderStep, RecoveryAction};
-use crate::sorted::{SortedMap, SortedSet};
+use crate::sorted::SortedMap;
 use crate::suggestion::nearest;
 use crate::{FaultKind, FaultLocation, NodeName, ObjectName};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// The robot's answer to every kind of fault, with exceptions for single components.
@@ -202,7 +203,7 @@ impl Plan {
 
     /// The codes of all faults of the application's own that the plan answers.
     #[doc(hidden)]
-    pub fn codes(&self) -> SortedSet<Arc<str>> {
+    pub fn codes(&self) -> BTreeSet<Arc<str>> {
         let of_components = self.components.values().flat_map(SortedMap::keys);
         let kinds = self.kinds.keys().chain(of_components);
         let own = kinds.filter_map(|kind| match kind {
@@ -224,8 +225,8 @@ impl Plan {
         own_kinds: impl IntoIterator<Item = &'a FaultKind>,
         strategies: impl IntoIterator<Item = &'a str>,
     ) -> Result<(), PlanError> {
-        let components: SortedSet<&ObjectName> = components.into_iter().collect();
-        let strategies: SortedSet<&str> = strategies.into_iter().collect();
+        let components: BTreeSet<&ObjectName> = components.into_iter().collect();
+        let strategies: BTreeSet<&str> = strategies.into_iter().collect();
         for kind in own_kinds {
             check_code(kind)?;
             let answered = || self.components.values().any(|kinds| kinds.contains_key(kind));
@@ -293,7 +294,7 @@ fn check_ladder(
     what: String,
     kind: &FaultKind,
     ladder: &Ladder,
-    strategies: &SortedSet<&str>,
+    strategies: &BTreeSet<&str>,
 ) -> Result<(), PlanError> {
     let link = matches!(kind, FaultKind::LinkDown | FaultKind::LinkDegraded);
     let node = matches!(

@@ -1,6 +1,6 @@
-use super::{CHUNK_MAX, SortedMap, SortedSet};
+use super::{CHUNK_MAX, SortedMap};
 use crate::random::Random;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::ops::Bound;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -118,22 +118,4 @@ fn a_map_is_whole_after_a_predicate_or_a_drop_of_retain_has_panicked() {
     };
     check(|n| assert_ne!(*n, CHUNK_MAX + 3), usize::MAX);
     check(|_| {}, CHUNK_MAX - 1);
-}
-
-#[test]
-fn a_set_does_what_a_tree_does() {
-    let of = |step: usize| (0..1000).step_by(step);
-    let (twos, threes): (SortedSet<_>, SortedSet<_>) = (of(2).collect(), of(3).collect());
-    let (even, third): (BTreeSet<_>, BTreeSet<_>) = (of(2).collect(), of(3).collect());
-    assert!(twos.difference(&threes).eq(even.difference(&third)));
-    assert!(twos.intersection(&threes).eq(even.intersection(&third)));
-    assert!(twos.range(10..100).eq(even.range(10..100)));
-    assert_eq!((twos.first(), twos.last(), twos.len()), (even.first(), even.last(), 500));
-    let mut set = twos.clone();
-    assert!(!set.insert(4) && set.insert(5) && set.remove(&5) && !set.remove(&5));
-    assert_eq!(set, twos);
-    assert_eq!(set.pop_first(), Some(0));
-    set.retain(|n| n % 3 == 0);
-    assert!(set.into_iter().eq(even.intersection(&third).copied().skip(1)));
-    assert_eq!(format!("{:?}", SortedSet::from([2, 1])), "{1, 2}");
 }

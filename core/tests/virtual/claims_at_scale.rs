@@ -6,10 +6,9 @@ use blastema_core::directory::{
     ClaimPolicy, ClaimRequest, Directory, DirectoryConfig, DirectoryOutput,
 };
 use blastema_core::random::Random;
-use blastema_core::sorted::SortedSet;
 use blastema_core::{Incarnation, Instant, Machine, NodeName, ObjectName};
 use bytes::Bytes;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 const NODES: usize = 50;
@@ -69,7 +68,7 @@ impl Robot {
     fn start(&mut self, node: usize) {
         self.incarnations[node] += 1;
         let incarnation = Incarnation(self.incarnations[node]);
-        let (settle, expected) = (Duration::ZERO, SortedSet::new());
+        let (settle, expected) = (Duration::ZERO, BTreeSet::new());
         let node_name = name(node);
         let config =
             DirectoryConfig { node: node_name, incarnation, lease: LEASE, settle, expected };

@@ -34,7 +34,7 @@ pub(crate) struct ReceivedSnapshot {
 
 /// The process at the other end of the socket.
 #[derive(Clone, Copy)]
-enum Peer {
+enum NodeProcess {
     /// The connection has not been accepted.
     Unreached,
     /// A process, by its id; a process of another PID namespace has none.
@@ -54,11 +54,11 @@ pub(crate) async fn look(path: &Path, within: Duration) -> Result<ReceivedSnapsh
 /// # Errors
 /// The cause, and what to do.
 pub(crate) async fn ask(path: &Path, line: &str, within: Duration) -> Result<Vec<u8>, String> {
-    let mut peer = Peer::Unreached;
+    let mut peer = NodeProcess::Unreached;
     let asked = timeout(within, async {
         let mut socket = connect(path).await?;
         let number = socket.peer_cred().ok().and_then(|peer| peer.pid());
-        peer = Peer::There { process: number.filter(|number| *number > 0) };
+        peer = NodeProcess::There { process: number.filter(|number| *number > 0) };
         // A process that shows something else may have closed the connection already.
         let _ = socket.write_all(line.as_bytes()).await;
         let _ = socket.shutdown().await;
@@ -158,19 +158,19 @@ fn explain(path: &Path, error: &io::Error) -> String {
 }
 
 /// Describes a process that does not answer.
-fn silence_of(peer: Peer) -> String {
+fn silence_of(peer: NodeProcess) -> String {
     let process = match peer {
-        Peer::Unreached => {
+        NodeProcess::Unreached => {
             return "others wait there, too: it stands still, or is looked at without end; try again"
                 .to_owned();
         }
-        Peer::There { process: Some(process) } if is_stopped(process) => {
+        NodeProcess::There { process: Some(process) } if is_stopped(process) => {
             return format!(
                 "its process {process} is stopped; `kill -CONT {process}` lets it go on"
             );
         }
-        Peer::There { process: Some(process) } => format!("its process {process}"),
-        Peer::There { process: None } => "its process".to_owned(),
+        NodeProcess::There { process: Some(process) } => format!("its process {process}"),
+        NodeProcess::There { process: None } => "its process".to_owned(),
     };
     format!(
         "{process} stands still or has too much to do, or this is no inspection socket of a node; \

@@ -10,8 +10,9 @@ use blastema_core::net::link::PeerRefusal;
 use blastema_core::net::seal::SealRefusals;
 use blastema_core::net::wire::frame::NameHolder;
 use blastema_core::net::{Link, LinkId, Quality, Refusals};
-use blastema_core::sorted::{SortedMap, SortedSet};
+use blastema_core::sorted::SortedMap;
 use blastema_core::{FaultKind, Incarnation, Instant};
+use std::collections::BTreeSet;
 use std::time::Duration;
 use tracing::{error, warn};
 
@@ -22,7 +23,7 @@ const KEY_FREE_AFTER: Duration = Duration::from_secs(10);
 #[derive(Default)]
 pub(super) struct NamesTaken {
     /// Links at whose other end is a node of our name, until another one is.
-    namesakes: SortedSet<LinkId>,
+    namesakes: BTreeSet<LinkId>,
     /// Links whose neighbour's key is in use twice, and when the other node was there last. That
     /// outlives the actor's incarnation, and ends when the other has been silent.
     keys_in_use: SortedMap<LinkId, Instant>,

@@ -28,8 +28,8 @@ use blastema_contract::reports::AreYouAlive;
 use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};
 use blastema_core::detection::{RecovererPort, RegistrationError};
 use blastema_core::recovery;
-use blastema_core::sorted::SortedSet;
 use blastema_core::{Fault, FaultKind, Incarnation, NodeName, ObjectName};
+use std::collections::BTreeSet;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
@@ -262,7 +262,7 @@ pub(super) fn reports(monitor: &Addr<DetectionActor>) -> FaultReports {
 }
 
 /// The application's code that the chain calls: faults of it stand under these names.
-pub(super) fn callbacks_of(faults: &FaultDescription) -> SortedSet<ObjectName> {
+pub(super) fn callbacks_of(faults: &FaultDescription) -> BTreeSet<ObjectName> {
     let strategies = faults.strategies.names().map(object_of);
     let outputs = faults.safe_outputs.iter().map(|_| named(SAFE_OUTPUTS));
     // Two names may differ by what no name of an object can hold.

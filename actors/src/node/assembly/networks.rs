@@ -22,8 +22,9 @@ use blastema_contract::notifier::AddPort;
 use blastema_contract::reports::FaultDeclared;
 use blastema_contract::transport::Close;
 use blastema_core::detection::{NodeCondition, RecovererPort};
-use blastema_core::sorted::{SortedMap, SortedSet};
+use blastema_core::sorted::SortedMap;
 use blastema_core::{FaultKind, Incarnation, NodeName};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -37,7 +38,7 @@ pub(in crate::node) struct Networks {
     transports: Vec<Recipient<Close>>,
     pub(super) arbiter: Option<ArbiterHandle>,
     /// The nodes that the description names.
-    pub(super) described: SortedSet<NodeName>,
+    pub(super) described: BTreeSet<NodeName>,
     /// The links that the description names; those that begin as one that ends at `/` may come by
     /// themselves.
     pub(super) links: Vec<String>,
@@ -58,7 +59,7 @@ impl Networks {
     }
 
     /// All whom it has met, or was told of.
-    pub(in crate::node) fn known(&self) -> SortedSet<NodeName> {
+    pub(in crate::node) fn known(&self) -> BTreeSet<NodeName> {
         self.described.iter().cloned().chain(self.handle.met()).collect()
     }
 
@@ -163,7 +164,7 @@ fn make_networks(
 ) -> Result<(Networks, Vec<KeptObject>), StartError> {
     let FaultChain { guardian, monitor, .. } = chain;
     let may_be_away = description.may_be_away.iter().filter_map(|node| NodeName::new(node).ok());
-    let may_be_away: SortedSet<_> = may_be_away.collect();
+    let may_be_away: BTreeSet<_> = may_be_away.collect();
     for node in may_be_away.iter().cloned() {
         let (incarnation, condition) = (Incarnation::default(), NodeCondition::MayBeAway);
         monitor.do_send(NodeReported { node, incarnation, condition });
@@ -172,7 +173,7 @@ fn make_networks(
     let networks = std::mem::take(&mut description.networks);
     let (keys, session_timeout) = (description.keys.take(), description.session_timeout);
     let (mut specs, mut cables) = (Vec::new(), SortedMap::new());
-    let (mut neighbours, mut kept) = (SortedSet::new(), Vec::new());
+    let (mut neighbours, mut kept) = (BTreeSet::new(), Vec::new());
     let has_keys = keys.is_some();
     let danger = keys.as_ref().and_then(|keys| keys.danger());
     let mut links = Vec::new();

@@ -11,11 +11,11 @@ use crate::node::error::PolicyPart;
 use crate::registry::encoding::encoded;
 use crate::settings::LAST_RUNG_AFTER;
 use blastema_core::connection::LostCommunicationEnd;
-use blastema_core::sorted::SortedSet;
 use blastema_core::suggestion::nearest;
 use blastema_core::{Contract, NodeName, ObjectName};
 use bytes::Bytes;
 use std::borrow::Cow;
+use std::collections::BTreeSet;
 use std::fmt;
 use std::pin::Pin;
 use std::time::Duration;
@@ -162,7 +162,7 @@ impl LostCommunicationPolicy {
     }
 
     /// The actuators that its rungs command, with their contracts.
-    fn actuators(&self) -> SortedSet<(&str, &str)> {
+    fn actuators(&self) -> BTreeSet<(&str, &str)> {
         let commands = self.rungs.iter().flat_map(|(_, rung)| &rung.commands);
         commands.map(RungCommand::key).collect()
     }
@@ -307,7 +307,7 @@ impl Rung {
 
     /// Finds what cannot work of it at this place.
     fn check(&self, place: usize, table: &ActuatorTable) -> Vec<WrongPart> {
-        let (rung, mut seen, mut wrong) = (&self.name, SortedSet::new(), Vec::new());
+        let (rung, mut seen, mut wrong) = (&self.name, BTreeSet::new(), Vec::new());
         if self.commands.is_empty() && self.component.is_none() {
             let reason = format!("the rung {rung} does nothing: give it a command");
             return vec![(PolicyPart::Rung(place), reason)];

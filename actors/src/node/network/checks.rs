@@ -9,9 +9,10 @@ use crate::settings::SettingError;
 use crate::settings::network::{EXPECTED_WITHIN, HELLO_INTERVAL};
 use blastema_core::net::routing::MTU_MIN;
 use blastema_core::net::wire::advertisement::NEIGHBOURS_MAX;
-use blastema_core::sorted::{SortedMap, SortedSet};
+use blastema_core::sorted::SortedMap;
 use blastema_core::{NodeName, ObjectName};
 use blastema_transports::EndpointError;
+use std::collections::BTreeSet;
 
 /// Every network and every neighbour there can be what it is said to be.
 pub(in crate::node) fn check_networks(
@@ -19,7 +20,7 @@ pub(in crate::node) fn check_networks(
     node: &NodeName,
     keys: Option<&NodeKeys>,
 ) -> Result<(), Vec<StartError>> {
-    let (mut names, mut refused) = (SortedSet::new(), Vec::new());
+    let (mut names, mut refused) = (BTreeSet::new(), Vec::new());
     for network in networks {
         if !names.insert(network.name()) {
             let text = format!(
@@ -33,7 +34,7 @@ pub(in crate::node) fn check_networks(
     if !refused.is_empty() {
         return Err(refused);
     }
-    let neighbours: SortedSet<_> = networks.iter().flat_map(Network::neighbours).collect();
+    let neighbours: BTreeSet<_> = networks.iter().flat_map(Network::neighbours).collect();
     if neighbours.len() > NEIGHBOURS_MAX {
         let text = format!(
             "{} neighbours are described, and a node has {NEIGHBOURS_MAX} at most: leave out those \
@@ -120,7 +121,7 @@ impl Network {
     }
 
     pub(super) fn link_specs(&self) -> Result<Vec<LinkSpec>, StartError> {
-        let mut remotes = SortedSet::new();
+        let mut remotes = BTreeSet::new();
         let spec = |link: &Link| {
             let of = format!("the name of a neighbour on network {}", self.name);
             let neighbour = NodeName::new(&link.neighbour).map_err(StartError::name_of(of))?;
@@ -193,7 +194,7 @@ impl Network {
                 MTU_MIN + seal
             )));
         }
-        let mut neighbours = SortedSet::new();
+        let mut neighbours = BTreeSet::new();
         for Link { neighbour, .. } in &self.links {
             let known = NodeName::new(neighbour).is_ok_and(|node| keys.key_of(&node).is_some());
             if !known {

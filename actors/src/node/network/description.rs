@@ -9,9 +9,9 @@ use crate::platform;
 use crate::service::{Carried, ServiceRefused};
 use crate::settings::network::SESSION_TIMEOUT;
 use blastema_core::detection::dependencies::{DependencyError, circle};
-use blastema_core::sorted::SortedSet;
 use blastema_core::suggestion::nearest;
 use blastema_core::{Incarnation, NodeName};
+use std::collections::BTreeSet;
 use std::env;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -70,7 +70,7 @@ impl NetworkDescription {
     }
 
     /// The other nodes that it names.
-    pub(in crate::node) fn named_nodes(&self) -> SortedSet<NodeName> {
+    pub(in crate::node) fn named_nodes(&self) -> BTreeSet<NodeName> {
         let names = self.networks.iter().flat_map(Network::named_nodes);
         let services = self.services.iter().flatten();
         let members = services.flat_map(|service| service.config.members.iter().cloned());

@@ -2,8 +2,7 @@
 
 use crate::LayoutDescription;
 use crate::contract::layout::{Field, Fields, Shape, Text, Variant};
-use crate::sorted::SortedSet;
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::fmt;
 
 /// The most lines that one difference shows; a person reads no more, and the peer may be hostile.
@@ -47,7 +46,7 @@ pub fn compare(
     here: &LayoutDescription,
     there: &LayoutDescription,
 ) -> Vec<String> {
-    let (open, seen, lines) = (VecDeque::new(), SortedSet::new(), Vec::new());
+    let (open, seen, lines) = (VecDeque::new(), BTreeSet::new(), Vec::new());
     let (here, there) = (here.types(), there.types());
     let mut comparison = Comparison { half, here, there, open, seen, lines };
     comparison.open(Pair { here: 0, there: 0, path: String::new(), whole: (0, 0) });
@@ -81,7 +80,7 @@ struct Comparison<'a> {
     there: &'a [Shape<u32>],
     open: VecDeque<Pair>,
     /// What is or was open: types with a name once, others once for each path.
-    seen: SortedSet<(String, u32, u32)>,
+    seen: BTreeSet<(String, u32, u32)>,
     lines: Vec<String>,
 }
 

@@ -3,7 +3,7 @@
 use super::{ComponentSample, HangLimits, QueueReading, SlotId};
 use crate::Instant;
 use crate::detection::OverloadFigures;
-use crate::sorted::SortedSet;
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 /// Rounds that a window holds at least: of fewer, one that is missed is already a large share.
@@ -146,7 +146,7 @@ pub(super) enum OverloadRoot {
 #[derive(Debug)]
 pub(super) struct Episode {
     pub(super) latest: Instant,
-    pub(super) victims: SortedSet<SlotId>,
+    pub(super) victims: BTreeSet<SlotId>,
     /// The worst of all its figures.
     pub(super) worst: OverloadFigures,
     /// The worst of them when it was reported last, if it was.
@@ -156,7 +156,7 @@ pub(super) struct Episode {
 impl Episode {
     pub(super) fn new(now: Instant) -> Self {
         let worst = OverloadFigures::default();
-        Episode { latest: now, victims: SortedSet::new(), worst, reported: None }
+        Episode { latest: now, victims: BTreeSet::new(), worst, reported: None }
     }
 
     /// These are late too, or still. Returns whether the overload is to be reported: it is new, has

@@ -7,8 +7,9 @@ use super::{
 };
 use crate::detection::hang::occupancy::Occupancy;
 use crate::detection::{Finding, NodeCondition, OverloadFigures};
-use crate::sorted::{SortedMap, SortedSet};
+use crate::sorted::SortedMap;
 use crate::{Instant, ObjectName};
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 /// A thread that is free less often than in one of five looks makes its components wait for each
@@ -198,7 +199,7 @@ impl HangDetector {
         }
     }
 
-    fn names(&self, slots: SortedSet<SlotId>) -> Vec<ObjectName> {
+    fn names(&self, slots: BTreeSet<SlotId>) -> Vec<ObjectName> {
         let name = |slot| Some(self.judged(slot)?.object.clone());
         slots.into_iter().filter_map(name).collect()
     }

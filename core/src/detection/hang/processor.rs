@@ -3,8 +3,7 @@
 use super::load::SATURATED;
 use super::{ArbiterId, ComponentRecord, HangDetector, Silence};
 use crate::Instant;
-use crate::sorted::SortedSet;
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::time::Duration;
 
 /// What counts: longer than any single delay, and as long as two windows of rounds.
@@ -98,7 +97,7 @@ impl HangDetector {
             component.silence != Silence::Reported && component.lateness.misses()
         };
         let late = self.awake().map(|(_, component)| component).filter(misses);
-        let late: SortedSet<ArbiterId> = late.map(|component| component.judged.arbiter).collect();
+        let late: BTreeSet<ArbiterId> = late.map(|component| component.judged.arbiter).collect();
         for (id, arbiter) in &mut self.arbiters {
             arbiter.processor.judge(late.contains(id));
         }

@@ -7,10 +7,11 @@ use crate::net::peer_protocol::age::AgeEstimator;
 use crate::net::session::ordering_key::OrderingKey;
 use crate::net::wire::message::{PeerMessage, TICK_US};
 use crate::net::wire::node_id::NodeId;
-use crate::sorted::{SortedMap, SortedSet};
+use crate::sorted::SortedMap;
 use crate::{
     ContractIdentity, Credit, Delivery, GatherBuffer, Instant, MessageId, ObjectName, TrafficClass,
 };
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 /// A binding: the object, the contract's name and fingerprint.
@@ -44,13 +45,13 @@ pub(super) struct PeerSession {
     pub(super) subscriptions: SortedMap<u32, PeerSubscription>,
     /// Subscriptions of this node to topics on which the peer may not publish. It was not told of
     /// them, or was told that they have ended.
-    pub(super) barred: SortedSet<u32>,
+    pub(super) barred: BTreeSet<u32>,
     /// Subscriptions of this node that the peer refuses by its policy.
-    pub(super) forbidden: SortedSet<u32>,
+    pub(super) forbidden: BTreeSet<u32>,
     /// The peer's requests that are not answered and whose replies take another stream than data.
     pub(super) reply_streams: SortedMap<u64, TrafficClass>,
     /// The peer's objects that have no room, and by which of our bindings it has said so.
-    pub(super) full: SortedMap<ObjectName, SortedSet<u32>>,
+    pub(super) full: SortedMap<ObjectName, BTreeSet<u32>>,
 }
 
 /// The timestamps of both ends.
@@ -115,8 +116,8 @@ impl PeerSession {
             calls: SortedMap::new(),
             bound: SortedMap::new(),
             subscriptions: SortedMap::new(),
-            barred: SortedSet::new(),
-            forbidden: SortedSet::new(),
+            barred: BTreeSet::new(),
+            forbidden: BTreeSet::new(),
             reply_streams: SortedMap::new(),
             full: SortedMap::new(),
         }

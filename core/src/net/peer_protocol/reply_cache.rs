@@ -8,9 +8,10 @@
 
 use super::types::SessionEpoch;
 use crate::net::wire::node_id::NodeId;
-use crate::sorted::{SortedMap, SortedSet};
+use crate::sorted::SortedMap;
 use crate::{GatherBuffer, Incarnation, Instant, MessageId};
 use bytes::Bytes;
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 /// How long a reply is remembered: longer than any deadline within which a caller sends again.
@@ -34,7 +35,7 @@ pub(super) struct ReplyCache {
     /// Those being served, by the sending that began it.
     serving: SortedMap<RequestOrigin, RequestKey>,
     /// Those that were answered, the oldest first.
-    answered: SortedSet<(Instant, RequestKey)>,
+    answered: BTreeSet<(Instant, RequestKey)>,
     bytes: usize,
 }
 

@@ -34,11 +34,11 @@ use super::wire::node_id::NodeId;
 use super::wire::packet::{
     HOPS_MAX, PACKET_HEADER, Packet, PacketPriority, Payload, UndeliveredReason,
 };
-use crate::sorted::{SortedMap, SortedSet};
+use crate::sorted::SortedMap;
 use crate::timer::Timers;
 use crate::{GatherBuffer, Incarnation, Instant, Machine, NodeName, SlidingWindow};
 use bytes::Bytes;
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::time::Duration;
 
 /// The machine of a node's router.
@@ -66,7 +66,7 @@ pub struct Router {
 /// Nodes that nothing is accepted from and sent to, as many as there are decisions.
 #[derive(Debug, Default)]
 struct IsolatedNodes {
-    nodes: SortedSet<NodeId>,
+    nodes: BTreeSet<NodeId>,
     /// Links to them, which are not used.
     links: SortedMap<LinkId, LinkStatus>,
 }
@@ -394,7 +394,7 @@ impl Router {
     pub(super) fn flood(&mut self, origin: NodeId, except: Option<LinkId>) {
         let Some(advertisement) = self.database.advertisement(origin) else { return };
         let links = advertisement.edges.iter().filter(|edge| edge.mtu != Edge::CHALLENGE);
-        let told: SortedSet<_> = links.map(|edge| (edge.to, edge.incarnation)).collect();
+        let told: BTreeSet<_> = links.map(|edge| (edge.to, edge.incarnation)).collect();
         let lacks = |(link, adjacent): (&LinkId, &Adjacency)| {
             let incarnation = Edge::incarnation_tag(adjacent.neighbour.incarnation);
             let has_it = origin != self.database.id() && told.contains(&(adjacent.id, incarnation));
@@ -470,7 +470,7 @@ impl Router {
 
     pub(super) fn handle_announce(&mut self, link: LinkId, advertisements: Vec<Advertisement>) {
         let mut confirmed = Vec::new();
-        let mut better = SortedSet::new();
+        let mut better = BTreeSet::new();
         for advertisement in advertisements {
             let id = advertisement.id;
             let held = self.database.advertisement(id.origin);
@@ -569,7 +569,7 @@ impl Router {
         if let Some((first, last)) = range
             && first <= last
         {
-            let listed: SortedSet<_> = ids.iter().map(|s| s.origin).collect();
+            let listed: BTreeSet<_> = ids.iter().map(|s| s.origin).collect();
             let held = self.database.known.range(first..=last).map(|(origin, _)| *origin);
             let own = (first..=last).contains(&self.database.id()).then_some(self.database.id());
             better.extend(held.chain(own).filter(|origin| !listed.contains(origin)));

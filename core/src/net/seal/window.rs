@@ -65,7 +65,7 @@ fn place(counter: u64) -> (usize, u64) {
 mod tests {
     use super::*;
     use crate::random::Random;
-    use crate::sorted::SortedSet;
+    use std::collections::BTreeSet;
 
     /// Counters from 0 in an order in which each is fewer than so many places late.
     fn reordered(count: u64, late: u64, random: &mut Random) -> Vec<u64> {
@@ -102,7 +102,7 @@ mod tests {
     fn a_window_accepts_each_counter_once_whatever_the_jumps_are() {
         for seed in 0..200 {
             let (mut random, mut window) = (Random::new(seed), ReplayWindow::default());
-            let mut seen = SortedSet::new();
+            let mut seen = BTreeSet::new();
             let mut highest = 0;
             for _ in 0..2_000 {
                 let around = [1, 64, 959, 960, 961, 1023, 1024, 1025, 5000][seed as usize % 9];

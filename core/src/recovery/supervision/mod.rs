@@ -35,11 +35,11 @@ pub use child::{ChildState, ChildStatus, ReplacementCause};
 pub use types::{CallId, ChildOrder, GiveUpReason, SupervisorOutput};
 
 use super::{ChildRules, Strategy, SupervisorRules};
-use crate::sorted::{SortedMap, SortedSet};
+use crate::sorted::SortedMap;
 use crate::{Incarnation, Instant, Machine, ObjectName};
 use budget::Budget;
 use child::{ChildKey, ChildPhase, ChildTarget, SupervisedChild};
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 
 /// No supervisor keeps more: its table is read as a whole.
 const CHILDREN_LIMIT: usize = 128 * 1024;
@@ -79,10 +79,10 @@ pub struct Supervisor {
     children: SortedMap<ChildKey, SupervisedChild>,
     index: SortedMap<ObjectName, ChildKey>,
     next_key: ChildKey,
-    going: SortedSet<ChildKey>,
-    coming: SortedSet<ChildKey>,
+    going: BTreeSet<ChildKey>,
+    coming: BTreeSet<ChildKey>,
     /// Those that have a deadline at present.
-    timed: SortedSet<ChildKey>,
+    timed: BTreeSet<ChildKey>,
     pending: Vec<Pending>,
     budget: Budget,
     outputs: VecDeque<SupervisorOutput>,
@@ -98,9 +98,9 @@ impl Supervisor {
             children: SortedMap::new(),
             index: SortedMap::new(),
             next_key: 0,
-            going: SortedSet::new(),
-            coming: SortedSet::new(),
-            timed: SortedSet::new(),
+            going: BTreeSet::new(),
+            coming: BTreeSet::new(),
+            timed: BTreeSet::new(),
             pending: Vec::new(),
             budget: Budget::new(&rules),
             outputs: VecDeque::new(),

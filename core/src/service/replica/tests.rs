@@ -12,7 +12,7 @@ mod under_replication;
 
 use super::*;
 use crate::random::Random;
-use crate::sorted::SortedSet;
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 const HEARTBEAT: Duration = Duration::from_millis(10);

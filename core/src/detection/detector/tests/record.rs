@@ -1,8 +1,8 @@
 //! The treatment of open faults, and their record.
 
 use super::*;
-use crate::sorted::SortedSet;
 use proptest::prelude::*;
+use std::collections::BTreeSet;
 
 #[test]
 fn the_recoverer_s_word_is_recorded_and_told() {
@@ -214,8 +214,8 @@ proptest! {
 
             let entries = bench.entries();
             prop_assert!(entries.len() <= 16);
-            let mut open_fault = SortedSet::new();
-            let mut passed = SortedSet::new();
+            let mut open_fault = BTreeSet::new();
+            let mut passed = BTreeSet::new();
             for entry in &entries {
                 let fault = &entry.fault;
                 prop_assert_eq!(entry.stands(), bench.detector.fault_log.stands(fault.id));

@@ -5,7 +5,8 @@ use crate::net::seal::SealerConfig;
 use crate::net::trust::crypto::Seed;
 use crate::net::trust::policy::Role;
 use crate::net::trust::roster::{NodeRoster, RosterNode};
-use crate::sorted::{SortedMap, SortedSet};
+use crate::sorted::SortedMap;
+use std::collections::BTreeSet;
 
 pub(super) const MS: Duration = Duration::from_millis(1);
 
@@ -26,7 +27,7 @@ pub(super) struct Net {
     /// The nodes of the roster, where nodes have keys.
     pub(super) roster: Option<NodeRoster>,
     /// Who has a cable to whom; its number on one's side says who is at the other.
-    pub(super) cables: SortedSet<(Who, Who)>,
+    pub(super) cables: BTreeSet<(Who, Who)>,
     numbers: SortedMap<(Who, &'static str), LinkId>,
     /// From whom, to whom, over which of its links.
     pub(super) wire: Vec<(Who, Who, LinkId, Load)>,

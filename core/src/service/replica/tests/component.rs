@@ -49,7 +49,7 @@ impl Robot {
     pub(super) fn assert_nothing_is_lost(&self, what: &str) {
         let answers: Vec<u64> =
             self.callers.iter().map(|caller| caller.answer.expect("it was answered")).collect();
-        let different: SortedSet<_> = answers.iter().collect();
+        let different: BTreeSet<_> = answers.iter().collect();
         assert_eq!(different.len(), answers.len(), "{what}: {answers:?}");
         assert_eq!(answers.iter().max(), Some(&(answers.len() as u64)), "{what}: {answers:?}");
         assert_eq!(self.overlaps, 0, "{what}");

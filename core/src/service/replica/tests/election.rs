@@ -184,7 +184,7 @@ fn whatever_is_cut_killed_and_started_again_nothing_is_answered_twice_or_forgott
 
         let answers: Vec<u64> =
             robot.callers.iter().map(|caller| caller.answer.expect("it was answered")).collect();
-        let different: SortedSet<_> = answers.iter().collect();
+        let different: BTreeSet<_> = answers.iter().collect();
         assert_eq!(different.len(), answers.len(), "seed {seed}: {answers:?}");
         assert_eq!(answers.iter().max(), Some(&(answers.len() as u64)), "seed {seed}: {answers:?}");
         assert_eq!(robot.overlaps, 0, "seed {seed}");
