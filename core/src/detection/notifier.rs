@@ -276,25 +276,6 @@ mod tests {
     }
 
     #[test]
-    fn a_storm_is_held_back_to_so_many_a_second_with_the_critical_ones_first() {
-        let local = ConfirmedQueueLimits { per_second: 3, ..ConfirmedQueueLimits::default() };
-        let mut notifier = Notifier::new(NotifierLimits { local, ..NotifierLimits::default() });
-        notifier.add_port(RecovererPort::Local, at(0));
-        for id in 1..=8 {
-            let kind = if id == 8 { FaultKind::Fatal } else { FaultKind::Panic };
-            notifier.handle_notice(fault(id, kind), at(0));
-        }
-
-        assert_eq!(handed(&mut notifier, true, at(0)), ["here +1", "here +8", "here +2"]);
-        assert_eq!(notifier.poll_timeout(), Some(at(1000)));
-        notifier.handle_timeout(at(1000));
-        assert_eq!(handed(&mut notifier, true, at(1000)), ["here +3", "here +4", "here +5"]);
-        notifier.handle_timeout(at(2000));
-        assert_eq!(handed(&mut notifier, true, at(2000)), ["here +6", "here +7"]);
-        assert_eq!(notifier.poll_timeout(), None, "nothing waits, and none was given up");
-    }
-
-    #[test]
     fn too_many_ports_are_refused_and_a_known_one_keeps_what_waits() {
         let limits = NotifierLimits { ports: 1, ..NotifierLimits::default() };
         let mut notifier = Notifier::new(limits);
