@@ -25,7 +25,8 @@ use crate::runtime::guardian::Guardian;
 use crate::runtime::reports::FaultReports;
 use crate::topic::Topics;
 use crate::{
-    Component, Context, Contract, Event, Handle, Ports, Publisher, Request, Sender, platform,
+    Component, Context, Contract, Event, Handle, Ports, Publisher, Request, Sender, WhenFull,
+    platform,
 };
 use actix::{Actor, Addr};
 use blastema_contract::Confirmed;
@@ -232,6 +233,16 @@ impl Robot {
         self.cable(end).do_send(Restore);
     }
 
+    /// No network leads to or from this node of a pair.
+    fn part(&self, node: &str) {
+        ["ethernet", "ieee1394"].iter().for_each(|network| self.cut(&format!("{network}/{node}")));
+    }
+
+    fn unite(&self, node: &str) {
+        let networks = ["ethernet", "ieee1394"].iter();
+        networks.for_each(|network| self.restore(&format!("{network}/{node}")));
+    }
+
     /// Closes the transport: no frame of the node leaves here any more.
     fn kill(&self, end: &str) {
         self.cable(end).do_send(Close);
@@ -242,12 +253,27 @@ impl Module {
     async fn start_acc(&mut self) {
         let log = self.log.clone();
         let spec = ChildSpec::new("acc", move || Acc { sum: 0, log: log.clone() });
-        let (mut child, _) =
-            spec.queue(20_000, crate::WhenFull::Refuse).into_child(&self.host).unwrap();
+        let (mut child, _) = spec.queue(20_000, WhenFull::Refuse).into_child(&self.host).unwrap();
         let reports = Probe::<ChildReport>::start();
         child.start(Incarnation(1), reports.recipient().into());
         assert_eq!(reports.expect().await.event, ChildEvent::Started);
         self.child = Some(child);
+    }
+
+    /// Begins a component that writes into this log.
+    async fn begin<C: Component>(
+        &self,
+        name: &str,
+        make: impl Fn(Log) -> C + Send + Sync + 'static,
+        (queue, full): (usize, WhenFull),
+    ) -> (Box<dyn Child>, Log) {
+        let log = Log::default();
+        let kept = log.clone();
+        let spec = ChildSpec::new(name, move || make(kept.clone())).queue(queue, full);
+        let (mut child, _) = spec.into_child(&self.host).unwrap();
+        child.start(Incarnation(1), Probe::<ChildReport>::start().recipient().into());
+        settle().await;
+        (child, log)
     }
 
     fn sender<M: Contract>(&self, name: &str) -> Sender<M> {

@@ -196,38 +196,6 @@ async fn a_strategy_of_the_application_is_made_once_and_only_when_needed() {
     assert_eq!(made.load(SeqCst), 1);
 }
 
-#[blastema_macros::test(crate = "blastema_doubles")]
-async fn a_strategy_that_cannot_even_be_made_has_failed() {
-    let mut strategies = StrategyTable::default();
-    strategies.hand_over("homing", || -> Homing { panic!("no such gripper") });
-    let plan = Plan::default()
-        .on(FaultKind::CheckFailed, Ladder::first(RecoveryAction::Custom("homing".into())));
-    let chain = Chain::new(plan, strategies).await;
-
-    chain.recover(fault(1, FaultKind::CheckFailed, "arm", 1)).await;
-
-    chain.outcomes.expect().await;
-    let RecoveryOutcome::GaveUp { reason } = chain.outcomes.expect().await.what else {
-        panic!("it was not given up");
-    };
-    assert!(reason.contains("no such gripper"), "{reason}");
-    settle().await;
-    assert_eq!(chain.bench.script.done(), ["isolate arm", "stop arm"]);
-    assert_eq!(chain.bench.deaths.recorded(), 0);
-}
-
-#[blastema_macros::test(crate = "blastema_doubles")]
-async fn a_repeated_hand_over_is_confirmed_and_carried_out_once() {
-    let chain = Chain::built_in().await;
-    chain.bench.script.answer("start laser", &[ScriptedReply::Hangs]);
-
-    chain.recover(fault(1, FaultKind::Panic, "laser", 1)).await;
-    chain.recover(fault(1, FaultKind::Panic, "laser", 1)).await;
-    settle().await;
-
-    assert_eq!(chain.bench.script.done(), ["start laser"]);
-}
-
 #[derive(Message)]
 #[rtype(result = "()")]
 struct Poison;

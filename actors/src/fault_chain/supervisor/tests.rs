@@ -12,10 +12,7 @@ fn restart(bench: &Bench, child: &str, kind: FaultKind, incarnation: u64) -> Chi
     if kind == FaultKind::Panic {
         bench.script.dies(child);
     }
-    request(child, ChildAction::Restart(Some(fault(1, kind, child, incarnation))))
-}
-
-fn request(child: &str, action: ChildAction) -> ChildRequest {
+    let action = ChildAction::Restart(Some(fault(1, kind, child, incarnation)));
     ChildRequest { object: object(child), action }
 }
 
@@ -100,52 +97,6 @@ async fn after_a_panic_of_its_own_its_children_stay_at_work() {
     let states: Vec<_> = tree.children.iter().map(|leaf| leaf.state).collect();
     assert_eq!(states, [ChildState::Running, ChildState::Running]);
     assert_eq!(tree.children[0].incarnation, Incarnation::FIRST);
-}
-
-#[blastema_macros::test(crate = "blastema_doubles")]
-async fn children_come_and_go_and_are_found_by_name() {
-    let bench = Bench::new();
-    let root = bench.serving(rules(Strategy::OneForOne), &["a"]).await;
-
-    let added = |whole| {
-        let (child, rules) = (bench.script.child("b"), ChildRules::default());
-        root.address.send(AddChild { child, rules, whole })
-    };
-    let gone = || Recovered { object: object("b"), incarnation: None, waits: false };
-    bench.script.answer("start b", &[ScriptedReply::Fails]);
-    let undone = added(true).await.expect("it lives").expect_err("it does not start");
-    assert!(matches!(undone.why, GiveUpReason::StartFailed { .. }), "{undone:?}");
-    assert!(bench.directory.supervisor_of(&object("b")).is_none());
-    assert_eq!(added(true).await.expect("it lives"), recovered("b", 1));
-    let refused = added(false).await.expect("it lives");
-    assert_eq!(refused.expect_err("the name is taken").why, GiveUpReason::NameTaken);
-    assert!(bench.directory.supervisor_of(&object("b")).is_some());
-
-    let removed = root.address.send(request("b", ChildAction::Remove)).await;
-    assert_eq!(removed.expect("it lives"), Ok(gone()));
-    assert!(bench.directory.supervisor_of(&object("b")).is_none());
-    assert_eq!(added(false).await.expect("it lives"), Ok(gone()));
-    assert_eq!(bench.script.done(), ["start b", "start b", "stop b", "start b"]);
-}
-
-#[blastema_macros::test(crate = "blastema_doubles")]
-async fn resets_isolation_and_rest_reach_the_child() {
-    let bench = Bench::new();
-    let root = bench.serving(rules(Strategy::OneForOne), &["a", "b"]).await;
-    bench.script.answer("reset b", &[ScriptedReply::Fails]);
-    let reset = |child| request(child, ChildAction::Reset);
-
-    assert_eq!(root.address.send(reset("a")).await.expect("it lives"), recovered("a", 1));
-    let failed = root.address.send(reset("b")).await.expect("it lives");
-    assert_eq!(
-        failed.expect_err("it is jammed").why,
-        GiveUpReason::ResetFailed { reason: "jammed".into() }
-    );
-    let isolate = ChildAction::Isolate { faulty: None, isolated: true, reason: String::new() };
-    assert!(root.address.send(request("a", isolate)).await.expect("it lives").is_ok());
-    let rest = ChildAction::SafeStop(None);
-    assert!(root.address.send(request("b", rest)).await.expect("it lives").is_ok());
-    assert_eq!(bench.script.done(), ["reset a", "reset b", "isolate a", "isolate b", "stop b"]);
 }
 
 #[blastema_macros::test(crate = "blastema_doubles")]

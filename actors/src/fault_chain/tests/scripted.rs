@@ -19,7 +19,6 @@ use std::sync::{Arc, Mutex, MutexGuard};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ScriptedReply {
     Works,
-    Fails,
     Hangs,
     Panics,
 }
@@ -101,16 +100,10 @@ impl Child for Scripted {
     ) -> Incarnation {
         self.report = Some(report);
         self.incarnation = incarnation;
-        match self.call("start") {
-            ScriptedReply::Works => {
-                let earlier = self.script.pages().alive.insert(self.name.clone(), incarnation);
-                assert_eq!(earlier, None, "{} lives twice", self.name);
-                self.tell(ChildEvent::Started);
-            }
-            ScriptedReply::Fails => {
-                self.tell(ChildEvent::StartFailed { reason: "no device".into() })
-            }
-            ScriptedReply::Hangs | ScriptedReply::Panics => {}
+        if self.call("start") == ScriptedReply::Works {
+            let earlier = self.script.pages().alive.insert(self.name.clone(), incarnation);
+            assert_eq!(earlier, None, "{} lives twice", self.name);
+            self.tell(ChildEvent::Started);
         }
         incarnation
     }
@@ -127,13 +120,11 @@ impl Child for Scripted {
                 self.call("abandon");
                 self.script.pages().alive.remove(&self.name);
             }
-            ChildOrder::Reset => match self.call("reset") {
-                ScriptedReply::Works => self.tell(ChildEvent::Reset),
-                ScriptedReply::Fails => {
-                    self.tell(ChildEvent::ResetFailed { reason: "jammed".into() });
+            ChildOrder::Reset => {
+                if self.call("reset") == ScriptedReply::Works {
+                    self.tell(ChildEvent::Reset);
                 }
-                ScriptedReply::Hangs | ScriptedReply::Panics => {}
-            },
+            }
             ChildOrder::Isolate(isolated) => {
                 self.call(if isolated { "isolate" } else { "admit" });
             }

@@ -1,7 +1,7 @@
 //! Queues, what becomes of what does not fit, and what becomes too old.
 
-use super::{Add, Note, Slow, Stage, acc, logged};
-use crate::{ChildSpec, Component, Context, DeliveryError, Event, Handle, WhenFull};
+use super::{Add, Note, Slow, Stage, acc, logged, logging};
+use crate::{Component, Context, DeliveryError, Event, Handle, WhenFull};
 use blastema_contract::child::{ChildEvent, ChildOrder};
 use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_doubles::{advance, settle};
@@ -79,9 +79,8 @@ impl Handle<Fresh> for Picky {
 #[blastema_macros::test(crate = "blastema_doubles")]
 async fn a_message_older_than_its_contract_allows_is_not_delivered_but_counted() {
     let stage = Stage::new();
-    let log = super::Log::default();
-    let kept = log.clone();
-    let (_child, picky) = stage.start(ChildSpec::new("picky", move || Picky(kept.clone()))).await;
+    let (spec, log) = logging("picky", Picky);
+    let (_child, picky) = stage.start(spec).await;
     picky.tell(Fresh(99)).unwrap();
     picky.tell(Fresh(2)).unwrap();
     picky.tell(Fresh(3)).unwrap();

@@ -1,6 +1,6 @@
 //! Timers, tasks, threads and isolation.
 
-use super::{GRANT, Log, Stage, logged};
+use super::{GRANT, Log, Stage, logged, logging};
 use crate::liveness::sampler::AliveSource;
 use crate::platform;
 use crate::{
@@ -237,10 +237,8 @@ async fn an_interval_that_is_set_in_each_round_keeps_its_rate() {
     for (name, interval) in
         [("same", (|_| 10 * TICK) as fn(u64) -> Duration), ("other", alternating)]
     {
-        let log = Log::default();
-        let kept = log.clone();
-        let make = move || Setter { log: kept.clone(), interval };
-        let (_child, _) = stage.start(ChildSpec::new(name, make).rate_hz(10.0)).await;
+        let (spec, log) = logging(name, move |log| Setter { log, interval });
+        let (_child, _) = stage.start(spec.rate_hz(10.0)).await;
 
         advance(Duration::from_secs(10)).await;
 
@@ -271,10 +269,9 @@ impl Component for Overrunner {
 #[blastema_macros::test(crate = "blastema_doubles")]
 async fn a_round_that_overruns_misses_rounds_and_the_next_ones_are_whole_periods_after_the_start() {
     let stage = Stage::new();
-    let log = Log::default();
-    let kept = log.clone();
-    let make = move || Overrunner { log: kept.clone(), first: None, spans: vec![250, 0, 0] };
-    let (_child, reference) = stage.start(ChildSpec::new("overrunner", make).rate_hz(10.0)).await;
+    let make = |log| Overrunner { log, first: None, spans: vec![250, 0, 0] };
+    let (spec, log) = logging("overrunner", make);
+    let (_child, reference) = stage.start(spec.rate_hz(10.0)).await;
 
     advance(Duration::from_millis(750)).await;
 

@@ -1,6 +1,6 @@
 //! What a component left behind in threads, tasks and publishers is fenced with its incarnation.
 
-use super::{Boom, ChildOrder, GRANT, Log, Stage, boom, logged};
+use super::{Boom, ChildOrder, GRANT, Log, Stage, boom, logged, logging};
 use crate::arbiter::pool::ArbiterPool;
 use crate::topic::Publisher;
 use crate::{ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Ports};
@@ -56,9 +56,7 @@ impl Handle<Reading> for Ear {
 }
 
 fn ear() -> (ChildSpec<Ear>, Log) {
-    let log = Log::default();
-    let kept = log.clone();
-    (ChildSpec::new("ear", move || Ear(kept.clone())), log)
+    logging("ear", Ear)
 }
 
 fn source(bench: &Bench) -> ChildSpec<Source> {

@@ -1,8 +1,7 @@
 //! Hangs, fences, lost arbiters; silence and waiting.
 
-use super::{ChildOrder, GRANT, Log, Stage, acc, logged};
+use super::{ChildOrder, GRANT, Log, Stage, acc, hang, logged, logging, until, watched};
 use crate::arbiter::pool::ArbiterPool;
-use crate::liveness::sampler;
 use crate::liveness::sampler::SamplerGuard;
 use crate::topic::Topics;
 use crate::{
@@ -11,11 +10,10 @@ use crate::{
 };
 use blastema_contract::child::ChildEvent;
 use blastema_contract::reports::LivenessReported;
-use blastema_core::detection::hang::HangDetectorConfig;
 use blastema_core::detection::hang::LivenessEvent;
-use blastema_core::detection::{CurrentHandler, Finding, Liveness, MonitorRow, ObjectKind};
+use blastema_core::detection::{CurrentHandler, Finding, MonitorRow, ObjectKind};
 use blastema_core::{FaultLocation, NodeName, ObjectAddress};
-use blastema_doubles::{Probe, advance};
+use blastema_doubles::Probe;
 use std::sync::{Arc, Mutex, mpsc};
 use std::time::Duration;
 
@@ -89,16 +87,10 @@ struct Site {
 impl Site {
     async fn new(shared: usize, grace: Duration) -> Self {
         let stage = Stage::on(ArbiterPool::pool(shared));
-        let sighted = Probe::start();
-        let config = HangDetectorConfig { grace, gap: Duration::from_secs(1) };
-        let environment = &stage.environment;
-        let (list, arbiters) = (environment.watch_list.clone(), environment.arbiters.clone());
-        let watch = sampler::start(list, arbiters, config, sighted.recipient(), true).unwrap();
+        let (sighted, watch) = watched(&stage, grace);
         let (open, gate) = mpsc::channel();
-        let received = Log::default();
-        let kept = received.clone();
-        let spec = ChildSpec::new("ear", move || Ear(kept.clone())).on_own_thread();
-        let (ear_child, ear) = stage.start(spec).await;
+        let (spec, received) = logging("ear", Ear);
+        let (ear_child, ear) = stage.start(spec.on_own_thread()).await;
         Site {
             ear: ear.sender(),
             stage,
@@ -119,25 +111,8 @@ impl Site {
         ChildSpec::new(name, make).max_block(Duration::from_millis(100))
     }
 
-    /// Waits until this holds. It may take as long as a busy machine needs.
-    async fn until(&self, what: &str, mut holds: impl FnMut() -> bool) {
-        for _ in 0..2000 {
-            if holds() {
-                return;
-            }
-            tokio::time::sleep(Duration::from_millis(5)).await;
-        }
-        panic!("{what}: never");
-    }
-
     async fn hangs(&self) -> (ObjectName, Incarnation, &'static str, Vec<ObjectName>) {
-        match self
-            .sighted
-            .wait(|sighted| {
-                matches!(sighted.0, LivenessEvent::Component { finding: Finding::Hangs { .. }, .. })
-            })
-            .await
-        {
+        match hang(&self.sighted).await {
             LivenessReported(LivenessEvent::Component {
                 object,
                 incarnation,
@@ -230,27 +205,6 @@ impl Handle<Down> for Watcher {
     }
 }
 
-fn watched() -> (Stage, Probe<LivenessReported>, SamplerGuard) {
-    let (stage, sighted) = (Stage::new(), Probe::start());
-    let environment = &stage.environment;
-    let (list, arbiters) = (environment.watch_list.clone(), environment.arbiters.clone());
-    let config = HangDetectorConfig::default();
-    let watch = sampler::start(list, arbiters, config, sighted.recipient(), false).unwrap();
-    (stage, sighted, watch)
-}
-
-#[blastema_macros::test(crate = "blastema_doubles")]
-async fn a_round_that_succeeds_is_a_sign_of_life() {
-    struct Worker;
-    impl Component for Worker {}
-    let (stage, sighted, _watch) = watched();
-    let push = Liveness::push(Duration::from_millis(100), 3);
-    let spec = ChildSpec::new("worker", || Worker).rate_hz(10.0).liveness(push);
-    let (_child, _) = stage.start(spec).await;
-    advance(Duration::from_secs(10)).await;
-    assert_eq!(sighted.drain(), []);
-}
-
 /// On real threads.
 mod real {
     use super::*;
@@ -286,7 +240,7 @@ mod real {
             "while it still blocks"
         );
         assert_eq!(site.stage.begin(&mut *child, 2).await, ChildEvent::Started);
-        site.until("its queue came along", || logged(&site.received) == [5]).await;
+        until("its queue came along", || logged(&site.received) == [5]).await;
 
         let early = site.sighted.drain();
         assert!(!early.iter().any(|s| matches!(s.0, LivenessEvent::Resumed { .. })), "{early:?}");
@@ -332,14 +286,13 @@ mod real {
         assert_eq!(*reported.lock().unwrap(), [[(name("blocker"), 1)].into()]);
         moving.order(ChildOrder::Abandon);
         assert_eq!(site.stage.begin(&mut *moving, 2).await, ChildEvent::Started);
-        site.until("queue and events came along", || site.received.lock().unwrap().len() == 2)
-            .await;
+        until("queue and events came along", || site.received.lock().unwrap().len() == 2).await;
         assert_eq!(logged(&site.received), [7, 8]);
         assert_eq!(site.stage.begin(&mut *child, 2).await, ChildEvent::Started);
-        site.until("the event, too", || logged(&site.received) == [8]).await;
+        until("the event, too", || logged(&site.received) == [8]).await;
 
         site.open.send(()).unwrap();
-        site.until("the thread ends", || arbiters.abandoned() == 0).await;
+        until("the thread ends", || arbiters.abandoned() == 0).await;
         assert_eq!(*site.refusals.lock().unwrap(), [Some(DeliveryError::Fenced)]);
         assert_eq!(neighbour.incarnation(), Incarnation(2));
         arbiters.stop();
@@ -356,10 +309,10 @@ mod real {
         child.order(ChildOrder::Abandon);
         assert_eq!(site.stage.begin(&mut *child, 2).await, ChildEvent::Started);
         let arbiters = &site.stage.environment.arbiters;
-        site.until("the thread is given up", || arbiters.abandoned() == 1).await;
+        until("the thread is given up", || arbiters.abandoned() == 1).await;
 
         site.open.send(()).unwrap();
-        site.until("the thread ends", || arbiters.abandoned() == 0).await;
+        until("the thread ends", || arbiters.abandoned() == 0).await;
         arbiters.stop();
     }
 
@@ -381,7 +334,7 @@ mod real {
         assert_eq!((culprit, incarnation), (name("clingy"), Incarnation(1)));
         child.order(ChildOrder::GrantRestart(false));
         child.order(ChildOrder::Abandon);
-        site.until("its watcher is told", || logged(&ended) == [1]).await;
+        until("its watcher is told", || logged(&ended) == [1]).await;
         assert_eq!(site.stage.begin(&mut *child, 2).await, ChildEvent::Started);
 
         site.open.send(()).unwrap();
@@ -405,7 +358,7 @@ mod real {
 
         child.order(ChildOrder::Abandon);
         site.open.send(()).unwrap();
-        site.until("the thread goes on", || site.stage.environment.arbiters.abandoned() == 0).await;
+        until("the thread goes on", || site.stage.environment.arbiters.abandoned() == 0).await;
         site.stage.environment.arbiters.stop();
     }
 
@@ -428,7 +381,7 @@ mod real {
         child.order(ChildOrder::Abandon);
         site.open.send(()).unwrap();
 
-        site.until("it speaks", || logged(&site.received) == [9]).await;
+        until("it speaks", || logged(&site.received) == [9]).await;
         assert_eq!(witness.incarnation(), Incarnation(1));
         assert_eq!(site.stage.exits.drain(), []);
         site.stage.environment.arbiters.stop();
@@ -455,10 +408,10 @@ mod real {
         victim.order(ChildOrder::Abandon);
         assert_eq!(site.stage.begin(&mut *victim, 2).await, ChildEvent::Started);
 
-        site.until("both events came along", || site.received.lock().unwrap().len() == 2).await;
+        until("both events came along", || site.received.lock().unwrap().len() == 2).await;
         assert_eq!(witness.incarnation(), Incarnation(2));
         site.open.send(()).unwrap();
-        site.until("the thread ends", || site.stage.environment.arbiters.abandoned() == 0).await;
+        until("the thread ends", || site.stage.environment.arbiters.abandoned() == 0).await;
         assert_eq!(logged(&site.received), [9, 9], "the old incarnation is fenced");
         site.stage.environment.arbiters.stop();
     }

@@ -21,12 +21,15 @@ use super::spec::ChildSpec;
 use crate::actuator::ActuatorTable;
 use crate::arbiter::pool::ArbiterPool;
 use crate::component::environment::ComponentEnvironment;
+use crate::liveness::sampler::{self, SamplerGuard};
 use crate::node::assembly::with_features;
 use crate::runtime::reports::FaultReports;
 use crate::{ActorRef, Component, Context, Event, Handle, Ports, Request};
 use blastema_contract::child::{Child, ChildEvent, ChildOrder, ChildReport};
-use blastema_contract::reports::{Exited, FaultDeclared, StateReported};
+use blastema_contract::reports::{Exited, FaultDeclared, LivenessReported, StateReported};
 use blastema_core::Incarnation;
+use blastema_core::detection::Finding;
+use blastema_core::detection::hang::{HangDetectorConfig, LivenessEvent};
 use blastema_doubles::Probe;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -87,6 +90,44 @@ pub(super) type Log = Arc<Mutex<Vec<u64>>>;
 
 pub(super) fn logged(log: &Log) -> Vec<u64> {
     std::mem::take(&mut *log.lock().unwrap())
+}
+
+/// A component that is made with this log in each incarnation.
+pub(super) fn logging<C: Component>(
+    name: &str,
+    make: impl Fn(Log) -> C + Send + Sync + 'static,
+) -> (ChildSpec<C>, Log) {
+    let log = Log::default();
+    let kept = log.clone();
+    (ChildSpec::new(name, move || make(kept.clone())), log)
+}
+
+/// The watch of the stage's threads, with this grace.
+pub(super) fn watched(stage: &Stage, grace: Duration) -> (Probe<LivenessReported>, SamplerGuard) {
+    let sighted = Probe::start();
+    let config = HangDetectorConfig { grace, gap: Duration::from_secs(1) };
+    let environment = &stage.environment;
+    let (list, arbiters) = (environment.watch_list.clone(), environment.arbiters.clone());
+    let guard = sampler::start(list, arbiters, config, sighted.recipient(), true).unwrap();
+    (sighted, guard)
+}
+
+pub(super) async fn hang(sighted: &Probe<LivenessReported>) -> LivenessReported {
+    let hangs = |sighted: &LivenessReported| {
+        matches!(sighted.0, LivenessEvent::Component { finding: Finding::Hangs { .. }, .. })
+    };
+    sighted.wait(hangs).await
+}
+
+/// Waits until this holds. It may take as long as a busy machine needs.
+pub(super) async fn until(what: &str, mut holds: impl FnMut() -> bool) {
+    for _ in 0..4000 {
+        if holds() {
+            return;
+        }
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    panic!("{what}: never");
 }
 
 /// Adds to a sum, and replies with it.
@@ -159,7 +200,5 @@ impl Drop for Acc {
 }
 
 pub(super) fn acc(name: &str) -> (ChildSpec<Acc>, Log) {
-    let log = Log::default();
-    let kept = log.clone();
-    (ChildSpec::new(name, move || Acc { sum: 0, log: kept.clone() }), log)
+    logging(name, |log| Acc { sum: 0, log })
 }

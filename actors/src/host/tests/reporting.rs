@@ -1,6 +1,6 @@
 //! Every death is reported, also where a second panic follows before the first was reported.
 
-use super::{ChildOrder, GRANT, Log, Stage, logged};
+use super::{ChildOrder, GRANT, Log, Stage, logged, logging};
 use crate::arbiter::pool::ArbiterPool;
 use crate::topic::Topics;
 use crate::{ChildSpec, Component, Context, Event, Handle, Incarnation, Ports};
@@ -33,9 +33,7 @@ impl Handle<Sample> for Picky {
 }
 
 fn picky(name: &str) -> (ChildSpec<Picky>, Log) {
-    let log = Log::default();
-    let kept = log.clone();
-    (ChildSpec::new(name, move || Picky(kept.clone())), log)
+    logging(name, Picky)
 }
 
 fn publish(stage: &Stage, topic: &str, n: u64) {

@@ -1,11 +1,10 @@
 //! Messages, replies, deadlines.
 
-use super::{Add, Note, Slow, Stage, acc, logged};
+use super::{Add, Slow, Stage, acc};
 use crate::liveness::sampler::AliveSource;
 use crate::{DeliveryError, Sender, WhenFull};
 use blastema_contract::child::ChildOrder;
 use blastema_core::Lifecycle;
-use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_doubles::{advance, paused, settle};
 use std::time::Duration;
 use tokio::task::spawn_local;
@@ -31,41 +30,6 @@ async fn a_handler_borrows_across_an_await_while_messages_wait_and_control_does_
     assert_eq!((acc.state(), queue.queued), (Lifecycle::Active, 1));
     assert!(queue.oldest >= Duration::from_millis(10), "{queue:?}");
     assert_eq!((slow.await.unwrap(), add.await.unwrap()), (Ok(1000), Ok(1001)));
-}
-
-#[blastema_macros::test(crate = "blastema_doubles")]
-async fn a_sender_hides_the_component_and_serves_alike() {
-    let stage = Stage::new();
-    let (spec, log) = acc("acc");
-    let (_child, acc) = stage.start(spec).await;
-    let add: Sender<Add> = acc.sender();
-    let note: Sender<Note> = stage.environment.registry.sender("acc").unwrap();
-
-    assert_eq!(add.ask(Add(4)).await, Ok(4));
-    note.tell(Note(7)).unwrap();
-    note.deliver(Note(8)).await.unwrap();
-
-    settle().await;
-    assert_eq!(logged(&log), [7, 8]);
-}
-
-#[blastema_macros::test(crate = "blastema_doubles")]
-async fn a_request_whose_asker_gave_up_is_not_served_but_counted() {
-    let stage = Stage::new();
-    let (_child, acc) = stage.start(acc("acc").0).await;
-    let slow = spawn_local({
-        let acc = acc.clone();
-        async move { acc.ask(Slow(100)).await }
-    });
-    settle().await;
-
-    let late = acc.ask_within(Add(5), Duration::from_millis(20)).await.unwrap_err();
-
-    assert_eq!(late.kind, DeliveryError::DeadlinePassed);
-    assert_eq!(slow.await.unwrap(), Ok(1000));
-    assert_eq!(acc.ask(Add(0)).await, Ok(1000));
-    let dead = &stage.environment.dead_letters;
-    assert_eq!(dead.count(acc.name(), DeadReason::DeadlinePassed), 1);
 }
 
 #[test]

@@ -31,7 +31,7 @@ fn reply() -> (ReplyPlace, ReplyTo) {
     (place, Box::new(move |result| *kept.lock().unwrap() = Some(result)))
 }
 
-pub(super) fn metadata(id: Option<MessageId>) -> MessageMetadata {
+fn metadata(id: Option<MessageId>) -> MessageMetadata {
     MessageMetadata { id, ..MessageMetadata::default() }
 }
 

@@ -1,67 +1,15 @@
-//! Objects of other nodes, reached with the same code as those of this one.
+//! What is sent to objects of other nodes.
 
-use super::skeleton::metadata;
-use super::{Add, Boom, Note, Stage, acc, boom, logged};
+use super::Stage;
 use crate::registry::remote::{OutgoingRequest, RemoteStub, StubFactory};
-use crate::{DeliveryError, Event, Incarnation};
+use crate::{DeliveryError, Event};
 use blastema_core::contract::codec;
 use blastema_core::{Blob, ContractIdentity, GatherBuffer, NodeName, ObjectAddress};
-use blastema_doubles::settle;
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex};
-
-/// Another node that leads back to this one.
-struct Mirror(crate::registry::Registry);
-struct MirrorDoor(Arc<dyn crate::registry::Skeleton>);
-
-impl StubFactory for Mirror {
-    fn stub(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub> {
-        Arc::new(MirrorDoor(self.0.skeleton(&to.object, contract.name).unwrap().1))
-    }
-
-    fn is_reachable(&self, _: &NodeName) -> bool {
-        true
-    }
-
-    fn opening(&self, _: &NodeName) -> Pin<Box<dyn Future<Output = ()> + Send>> {
-        Box::pin(std::future::pending())
-    }
-}
-impl RemoteStub for MirrorDoor {
-    fn send(
-        &self,
-        message: GatherBuffer,
-        asked: Option<OutgoingRequest>,
-    ) -> Result<(), DeliveryError> {
-        let id = asked.as_ref().and_then(|asked| asked.id);
-        self.0.deliver(&message.into_bytes(), metadata(id), asked.map(|asked| asked.reply_to))
-    }
-    fn space(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
-        Box::pin(std::future::ready(()))
-    }
-}
-
-#[blastema_macros::test(crate = "blastema_doubles")]
-async fn an_object_of_another_node_is_asked_with_the_same_code() {
-    let stage = Stage::new();
-    let (spec, log) = acc("acc");
-    let (_child, _) = stage.start(spec).await;
-    let registry = &stage.environment.registry;
-    let mirror = Arc::new(Mirror(registry.clone()));
-    registry.set_node(NodeName::new("here").unwrap());
-    registry.connect(mirror);
-    let add = registry.sender::<Add>("there:acc").unwrap();
-
-    assert_eq!(add.ask(Add(2)).await, Ok(2));
-    registry.sender::<Note>("there:acc").unwrap().deliver(Note(3)).await.unwrap();
-    settle().await;
-    assert_eq!(logged(&log), [3]);
-    let died = registry.sender::<Boom>("there:acc").unwrap().ask(boom("x")).await.unwrap_err();
-    assert_eq!(died.kind, DeliveryError::PeerDied { incarnation: Incarnation(1) });
-}
 
 /// Much that a vector holds.
 #[derive(Clone, Debug, PartialEq, Event)]

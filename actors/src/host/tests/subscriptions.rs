@@ -1,18 +1,15 @@
 //! Conditions under guard and watch, hubs of ended incarnations, and events across a hang.
 
-use super::{ChildOrder, Log, Stage, logged};
+use super::{ChildOrder, Log, Stage, hang, logged, logging, until, watched};
 use crate::arbiter::pool::ArbiterPool;
-use crate::liveness::sampler;
-use crate::liveness::sampler::SamplerGuard;
 use crate::topic::Topics;
 use crate::{ChildSpec, Component, Context, Event, Handle, ObjectName, Ports};
 use blastema_contract::child::{Child, ChildEvent};
 use blastema_contract::reports::LivenessReported;
 use blastema_core::Contract;
 use blastema_core::detection::Finding;
-use blastema_core::detection::hang::HangDetectorConfig;
 use blastema_core::detection::hang::LivenessEvent;
-use blastema_doubles::{Probe, settle};
+use blastema_doubles::settle;
 use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Condvar, Mutex};
@@ -81,19 +78,8 @@ impl Handle<Sample> for Judge {
 }
 
 fn ear(name: &str, blocks_on: Option<(u64, Barrier)>) -> (ChildSpec<Ear>, Log) {
-    let log = Log::default();
-    let kept = log.clone();
-    let make = move || Ear { log: kept.clone(), blocks_on: blocks_on.clone() };
-    (ChildSpec::new(name, make).max_block(Duration::from_millis(100)), log)
-}
-
-fn watched(stage: &Stage, grace: Duration) -> (Probe<LivenessReported>, SamplerGuard) {
-    let sighted = Probe::start();
-    let config = HangDetectorConfig { grace, gap: Duration::from_secs(1) };
-    let (list, arbiters) =
-        (stage.environment.watch_list.clone(), stage.environment.arbiters.clone());
-    let guard = sampler::start(list, arbiters, config, sighted.recipient(), true).unwrap();
-    (sighted, guard)
+    let (spec, log) = logging(name, move |log| Ear { log, blocks_on: blocks_on.clone() });
+    (spec.max_block(Duration::from_millis(100)), log)
 }
 
 fn publish(stage: &Stage, n: u64) {
@@ -108,16 +94,6 @@ fn publish(stage: &Stage, n: u64) {
 
 fn hubs(stage: &Stage) -> usize {
     stage.environment.feature::<Topics>().hubs::<Sample>(Sample::NAME)
-}
-
-async fn until(what: &str, mut holds: impl FnMut() -> bool) {
-    for _ in 0..4000 {
-        if holds() {
-            return;
-        }
-        tokio::time::sleep(Duration::from_millis(5)).await;
-    }
-    panic!("{what}: never");
 }
 
 /// Panics when it is dropped, or when it is copied.
@@ -199,9 +175,7 @@ mod real {
         let (sighted, _watch) = watched(&stage, Duration::from_secs(30));
         let (before, first) = ear("before", None);
         let (after, last) = ear("after", None);
-        let log = Log::default();
-        let kept = log.clone();
-        let judge = ChildSpec::new("judge", move || Judge(kept.clone()));
+        let (judge, log) = logging("judge", Judge);
         let (_before, _) = stage.start(before).await;
         let (_judge, _) = stage.start(judge.max_block(Duration::from_millis(100))).await;
         let (_after, _) = stage.start(after).await;
@@ -209,11 +183,7 @@ mod real {
         *JUDGED.lock().unwrap() = Some(barrier.clone());
 
         publish(&stage, 1);
-        let seen = sighted
-            .wait(|sighted| {
-                matches!(sighted.0, LivenessEvent::Component { finding: Finding::Hangs { .. }, .. })
-            })
-            .await;
+        let seen = hang(&sighted).await;
         barrier.open();
 
         let LivenessReported(LivenessEvent::Component {
@@ -251,11 +221,7 @@ mod real {
         let publisher = stage.environment.feature::<Topics>().publisher("samples").unwrap();
         publisher.publish(Sample(1)).unwrap();
         publisher.publish(Sample(2)).unwrap();
-        sighted
-            .wait(|sighted| {
-                matches!(sighted.0, LivenessEvent::Component { finding: Finding::Hangs { .. }, .. })
-            })
-            .await;
+        hang(&sighted).await;
 
         assert_eq!(stage.begin(&mut *judge, 2).await, ChildEvent::Started);
         until("what waited comes along", || *log.lock().unwrap() == [2]).await;
@@ -282,11 +248,7 @@ mod real {
         until("two hubs", || hubs(&stage) == 2).await;
 
         (1..=6).for_each(|n| publish(&stage, n));
-        sighted
-            .wait(|sighted| {
-                matches!(sighted.0, LivenessEvent::Component { finding: Finding::Hangs { .. }, .. })
-            })
-            .await;
+        hang(&sighted).await;
         (7..=9).for_each(|n| publish(&stage, n));
         culprit.order(ChildOrder::Abandon);
         sighted.wait(|sighted| matches!(sighted.0, LivenessEvent::Lost { .. })).await;

@@ -1,14 +1,11 @@
 //! Publish and subscribe.
 
-use super::{Boom, GRANT, Log, Stage, boom, logged};
+use super::{Boom, GRANT, Log, Stage, boom, logged, logging};
 use crate::topic::Topics;
 use crate::topic::{EventForward, Reservation, TopicKey};
-use crate::{
-    ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Ports, WhenFull,
-};
+use crate::{ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Ports};
 use blastema_contract::child::{ChildEvent, ChildOrder};
 use blastema_contract::reports::ExitReason;
-use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::{
     Contract, ContractIdentity, GatherBuffer, Incarnation, Instant, Lifecycle, NodeName,
 };
@@ -53,9 +50,7 @@ impl Handle<Boom> for Listener {
 }
 
 fn listener(name: &str) -> (ChildSpec<Listener>, Log) {
-    let log = Log::default();
-    let kept = log.clone();
-    (ChildSpec::new(name, move || Listener(kept.clone())), log)
+    logging(name, Listener)
 }
 
 fn publish(stage: &Stage, topic: &str, n: u64) {
@@ -168,24 +163,6 @@ async fn a_panic_in_a_condition_or_on_an_event_is_the_listeners_alone() {
     assert_eq!((exits.len(), of_condition), (4, 2), "{exits:?}");
     assert_eq!((logged(&one_log), logged(&two_log)), (vec![1], vec![1]));
 }
-
-#[derive(Clone, Event)]
-#[contract(max_age = "50ms")]
-struct Scan(u64);
-
-struct Tracker(Log);
-impl Component for Tracker {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.listen::<Scan>();
-    }
-}
-impl Handle<Scan> for Tracker {
-    async fn handle(&mut self, Scan(n): Scan, _: &mut Context<Self>) {
-        self.0.lock().unwrap().push(n);
-        tokio::time::sleep(Duration::from_millis(100)).await;
-    }
-}
-
 #[blastema_macros::test(crate = "blastema_doubles")]
 async fn the_replacement_of_a_listener_that_dies_of_an_event_begins_without_another() {
     let stage = Stage::new();
@@ -199,23 +176,6 @@ async fn the_replacement_of_a_listener_that_dies_of_an_event_begins_without_anot
     let reported = stage.states.drain();
     let last = reported.last().map(|reported| (reported.incarnation, reported.state));
     assert_eq!(last, Some((Incarnation(2), Lifecycle::Active)));
-}
-
-#[blastema_macros::test(crate = "blastema_doubles")]
-async fn an_event_that_waited_too_long_is_counted_instead() {
-    let stage = Stage::new();
-    let log = Log::default();
-    let kept = log.clone();
-    let spec = ChildSpec::new("tracker", move || Tracker(kept.clone()));
-    let (_child, tracker) = stage.start(spec.queue(8, WhenFull::DropOldest)).await;
-    let publisher = stage.environment.feature::<Topics>().publisher::<Scan>(Scan::NAME).unwrap();
-    (1..=3).for_each(|n| publisher.publish(Scan(n)).unwrap());
-
-    advance(Duration::from_secs(1)).await;
-
-    assert_eq!(logged(&log), [1]);
-    let dead = &stage.environment.dead_letters;
-    assert_eq!(dead.count(tracker.name(), DeadReason::Expired), 2);
 }
 
 /// What was sent to another node, which has capacity for everything.

@@ -1,7 +1,7 @@
 //! Requests to other nodes: deadlines, identities, and what is said where nothing can be known.
 
 use super::*;
-use crate::{Outcome, WhenFull};
+use crate::Outcome;
 
 /// Counts how often it takes effect, slowly.
 #[derive(Clone, Debug, PartialEq, Request)]
@@ -70,13 +70,7 @@ impl Handle<GrowMuch> for Desk {
 
 /// A component at this module, and what took effect there.
 async fn service_fn(module: &Module) -> (Box<dyn Child>, Log) {
-    let log = Log::default();
-    let kept = log.clone();
-    let spec = ChildSpec::new("desk", move || Desk(kept.clone())).queue(100, WhenFull::Refuse);
-    let (mut child, _) = spec.into_child(&module.host).unwrap();
-    child.start(Incarnation(1), Probe::<ChildReport>::start().recipient().into());
-    settle().await;
-    (child, log)
+    module.begin("desk", Desk, (100, WhenFull::Refuse)).await
 }
 
 fn asking<M: crate::Request>(
@@ -89,34 +83,6 @@ fn asking<M: crate::Request>(
     )
 }
 
-fn cut_all(robot: &Robot) {
-    ["ethernet/left", "ieee1394/left"].into_iter().for_each(|end| robot.cut(end));
-}
-
-fn restore_all(robot: &Robot) {
-    ["ethernet/left", "ieee1394/left"].into_iter().for_each(|end| robot.restore(end));
-}
-
-#[blastema_macros::test(crate = "blastema_doubles")]
-async fn a_request_whose_deadline_passed_in_the_queue_is_not_begun() {
-    let (_robot, left, right) = pair().await;
-    let (_service_fn, log) = service_fn(&right).await;
-    let sender = left.sender::<Book>("right:desk");
-    assert_eq!(sender.ask(Book(0)).await.unwrap(), 0);
-
-    let asked: Vec<_> = (1..5).map(|n| asking(sender.clone(), Book(n), 250 * MS)).collect();
-    advance(2000 * MS).await;
-
-    let mut answers = Vec::new();
-    for asked in asked {
-        answers.push(asked.await.unwrap());
-    }
-    let late = Err(DeliveryError::DeadlinePassed);
-    assert_eq!(answers, [Ok(1), Ok(2), late.clone(), late]);
-    // The third was begun in time; the fourth was not.
-    assert_eq!(log.take(), [0, 1, 2, 3]);
-}
-
 #[blastema_macros::test(crate = "blastema_doubles")]
 async fn a_request_that_was_late_on_the_way_is_not_begun() {
     let (robot, left, right) = pair().await;
@@ -124,11 +90,11 @@ async fn a_request_that_was_late_on_the_way_is_not_begun() {
     let sender = left.sender::<Book>("right:desk");
     assert_eq!(sender.ask(Book(0)).await.unwrap(), 0);
 
-    cut_all(&robot);
+    robot.part("left");
     let late = asking(sender.clone(), Book(1), 300 * MS);
     let in_time = asking(sender.clone(), Book(2), 10_000 * MS);
     advance(1000 * MS).await;
-    restore_all(&robot);
+    robot.unite("left");
     advance(2000 * MS).await;
 
     assert_eq!(late.await.unwrap(), Err(DeliveryError::DeadlinePassed));
@@ -145,7 +111,7 @@ async fn where_the_way_was_lost_after_the_request_was_sent_the_outcome_is_not_kn
 
     let sent = asking(sender.clone(), Book(1), 60_000 * MS);
     advance(20 * MS).await;
-    cut_all(&robot);
+    robot.part("left");
     advance(500 * MS).await;
     // No way is known any more: this one does not leave the node.
     let kept = asking(sender.clone(), Book(2), 60_000 * MS);
@@ -168,10 +134,10 @@ async fn an_idempotent_request_is_asked_again_by_itself_and_takes_effect_once() 
     let asked = asking(sender.clone(), SetTo(1), 20_000 * MS);
     let late = asking(sender.clone(), SetTo(2), 3000 * MS);
     advance(20 * MS).await;
-    cut_all(&robot);
+    robot.part("left");
     advance(5000 * MS).await;
     assert_eq!(late.await.unwrap(), Err(DeliveryError::DeadlinePassed));
-    restore_all(&robot);
+    robot.unite("left");
     advance(5000 * MS).await;
 
     assert_eq!(asked.await.unwrap(), Ok(1));
@@ -234,13 +200,13 @@ async fn a_request_that_is_sent_again_under_its_identity_takes_effect_once() {
             (repeatable, result.map_err(|error| error.kind))
         });
         advance(20 * MS).await;
-        cut_all(&robot);
+        robot.part("left");
         advance(5000 * MS).await;
         asked
     };
     let (repeatable, result) = first.await.unwrap();
     assert!(matches!(result, Err(DeliveryError::OutcomeUnknown { .. })), "{result:?}");
-    restore_all(&robot);
+    robot.unite("left");
     advance(5000 * MS).await;
 
     assert_eq!(repeatable.ask().await.unwrap(), 1);

@@ -51,9 +51,9 @@ async fn the_credit_to_a_peer_is_whole_after_cuts_panics_and_refusals() {
             6..8 => left.net.panic_sessions(),
             8..10 => right.net.panic_sessions(),
             10..14 => {
-                ["ethernet/left", "ieee1394/left"].iter().for_each(|cable| robot.cut(cable));
+                robot.part("left");
                 advance(if random & 0x1_0000 == 0 { 300 * MS } else { 3_000 * MS }).await;
-                ["ethernet/left", "ieee1394/left"].iter().for_each(|cable| robot.restore(cable));
+                robot.unite("left");
             }
             _ => {}
         }

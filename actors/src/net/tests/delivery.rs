@@ -1,9 +1,9 @@
 //! How messages travel, as their contracts say.
 
 use super::*;
+use crate::Event;
 use crate::net::stack::{NetworkStack, RunOnStack};
 use crate::topic::Topics;
-use crate::{Event, WhenFull};
 use blastema_core::TrafficClass;
 
 /// A reading of which only the newest counts.
@@ -73,13 +73,9 @@ impl Handle<Halt> for Ear {
 }
 
 async fn ear(module: &Module) -> (Box<dyn Child>, Log) {
-    let log = Log::default();
-    let kept = log.clone();
-    let spec = ChildSpec::new("ear", move || Ear(kept.clone())).queue(20_000, WhenFull::Refuse);
-    let (mut child, _) = spec.into_child(&module.host).unwrap();
-    child.start(Incarnation(1), Probe::<ChildReport>::start().recipient().into());
+    let begun = module.begin("ear", Ear, (20_000, WhenFull::Refuse)).await;
     advance(50 * MS).await;
-    (child, log)
+    begun
 }
 
 fn publisher<E: Event>(module: &Module) -> Publisher<E> {
@@ -100,11 +96,11 @@ async fn of_readings_the_newest_arrives_and_what_was_lost_is_not_repeated() {
     advance(10 * MS).await;
     assert_eq!(log.take(), [1, 2, 3]);
 
-    ["ethernet/left", "ieee1394/left"].into_iter().for_each(|end| robot.cut(end));
+    robot.part("left");
     publisher.publish(Reading(4, vec![])).unwrap();
     sender.tell(Reading(5, vec![])).unwrap();
     advance(300 * MS).await;
-    ["ethernet/left", "ieee1394/left"].into_iter().for_each(|end| robot.restore(end));
+    robot.unite("left");
     advance(1000 * MS).await;
     publisher.publish(Reading(6, vec![])).unwrap();
     advance(10 * MS).await;
@@ -145,8 +141,7 @@ async fn readings_do_not_wait_behind_what_waits_in_order() {
     readings.tell(Reading(0, vec![])).unwrap();
     advance(10 * MS).await;
     // What is reliable fills its buffers while nothing arrives at the other end.
-    robot.cut("ethernet/right");
-    robot.cut("ieee1394/right");
+    robot.part("right");
     let notes = left.sender::<Note>("right:acc");
     while notes.tell(Note(1)).is_ok() {}
     advance(5 * MS).await;

@@ -42,7 +42,7 @@ async fn deliver_all(left: &Module) {
 async fn deliver_in_vain(robot: &Robot, left: &Module) {
     left.sender::<Note>("right:acc").deliver(Note(0)).await.unwrap();
     advance(10 * MS).await;
-    ["ethernet/left", "ieee1394/left"].into_iter().for_each(|end| robot.cut(end));
+    robot.part("left");
     deliver_all(left).await;
 }
 
@@ -193,7 +193,7 @@ async fn each_message_of_an_outage_arrived_or_is_counted_and_a_fault_tells_of_th
         notes.deliver(Note(n)).await.unwrap();
     }
     advance(20 * MS).await;
-    ["ethernet/left", "ieee1394/left"].into_iter().for_each(|end| robot.cut(end));
+    robot.part("left");
     for n in 6..=12 {
         notes.deliver(Note(n)).await.unwrap();
     }

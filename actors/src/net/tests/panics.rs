@@ -61,25 +61,6 @@ async fn a_panic_in_any_actor_of_the_network_is_survived_and_every_promise_resol
 }
 
 #[blastema_macros::test(crate = "blastema_doubles")]
-async fn a_panic_of_the_stack_gives_back_what_its_sessions_held() {
-    let (_robot, left, right) = pair().await;
-    let sender = left.sender::<Note>("right:acc");
-    sender.tell(Note(0)).unwrap();
-    advance(10 * MS).await;
-
-    for n in 1..50 {
-        sender.tell(Note(n)).unwrap();
-    }
-    left.net.panic_sessions();
-    advance(1000 * MS).await;
-
-    let arrived = right.log.take();
-    let buried = left.host.dead_letters.total();
-    assert!(arrived.is_sorted());
-    assert!(arrived.len() as u64 + buried >= 50, "{} arrived, {buried} told", arrived.len());
-}
-
-#[blastema_macros::test(crate = "blastema_doubles")]
 async fn any_panic_of_the_stack_builds_its_router_again() {
     let (_robot, left, _right) = pair().await;
 

@@ -1,7 +1,7 @@
 //! Receivers that are slower than their senders, on another node.
 
 use super::*;
-use crate::{Event, Outcome, WhenFull};
+use crate::{Event, Outcome};
 use blastema_contract::child::ChildOrder;
 use blastema_core::TrafficClass;
 use blastema_core::contract::codec;
@@ -76,13 +76,17 @@ impl Handle<Busy> for Slow {
 
 /// A component `slow` at this module that needs so long for each message, and what it has done.
 async fn slow(module: &Module, takes: Duration, full: WhenFull) -> (Box<dyn Child>, Log) {
-    let log = Log::default();
-    let kept = log.clone();
-    let spec = ChildSpec::new("slow", move || Slow { log: kept.clone(), takes });
-    let (mut child, _) = spec.queue(QUEUE, full).into_child(&module.host).unwrap();
-    child.start(Incarnation(1), Probe::<ChildReport>::start().recipient().into());
-    settle().await;
-    (child, log)
+    module.begin("slow", move |log| Slow { log, takes }, (QUEUE, full)).await
+}
+
+/// More jobs than `slow` has room for are on their way by this sender.
+async fn flooded(left: &Module) -> Sender<Job> {
+    let jobs = left.sender::<Job>("right:slow");
+    for n in 0..200 {
+        jobs.tell(Job(n)).unwrap();
+    }
+    advance(20 * MS).await;
+    jobs
 }
 
 const NEVER: Duration = Duration::from_secs(1_000_000);
@@ -120,11 +124,7 @@ async fn who_tells_a_full_object_of_another_node_gets_the_message_back_and_no_ot
  {
     let (_robot, left, right) = pair().await;
     let (_slow, log) = slow(&right, 10 * MS, WhenFull::Refuse).await;
-    let jobs = left.sender::<Job>("right:slow");
-    for n in 0..200 {
-        jobs.tell(Job(n)).unwrap();
-    }
-    advance(20 * MS).await;
+    let jobs = flooded(&left).await;
 
     let error = jobs.tell(Job(200)).unwrap_err();
     assert_eq!((error.kind, error.message), (DeliveryError::Full, Job(200)));
@@ -200,11 +200,7 @@ async fn an_object_that_is_stopped_for_good_turns_what_waits_into_dead_letters_a
  {
     let (_robot, left, right) = pair().await;
     let (mut child, _log) = slow(&right, NEVER, WhenFull::Refuse).await;
-    let jobs = left.sender::<Job>("right:slow");
-    for n in 0..200 {
-        jobs.tell(Job(n)).unwrap();
-    }
-    advance(20 * MS).await;
+    let jobs = flooded(&left).await;
     assert_eq!(jobs.tell(Job(200)).unwrap_err().kind, DeliveryError::Full);
 
     child.order(ChildOrder::Stop { again: false });
@@ -220,17 +216,13 @@ async fn what_waits_when_the_session_ends_is_counted_and_the_next_session_begins
 {
     let (robot, left, right) = pair().await;
     let (_slow, log) = slow(&right, NEVER, WhenFull::Refuse).await;
-    let jobs = left.sender::<Job>("right:slow");
-    for n in 0..200 {
-        jobs.tell(Job(n)).unwrap();
-    }
-    advance(20 * MS).await;
+    let jobs = flooded(&left).await;
     assert_eq!(jobs.tell(Job(200)).unwrap_err().kind, DeliveryError::Full);
 
-    ["ethernet/left", "ieee1394/left"].into_iter().for_each(|end| robot.cut(end));
+    robot.part("left");
     advance(5000 * MS).await;
     assert!(matches!(jobs.tell(Job(200)).unwrap_err().kind, DeliveryError::Unreachable { .. }));
-    ["ethernet/left", "ieee1394/left"].into_iter().for_each(|end| robot.restore(end));
+    robot.unite("left");
     advance(5000 * MS).await;
 
     // One is being served, and the queue is full.
@@ -243,11 +235,7 @@ async fn what_waits_when_the_session_ends_is_counted_and_the_next_session_begins
 async fn a_panic_of_the_stack_leaves_nothing_full_and_nothing_uncounted() {
     let (_robot, left, right) = pair().await;
     let (_slow, _log) = slow(&right, NEVER, WhenFull::Refuse).await;
-    let jobs = left.sender::<Job>("right:slow");
-    for n in 0..200 {
-        jobs.tell(Job(n)).unwrap();
-    }
-    advance(20 * MS).await;
+    let jobs = flooded(&left).await;
 
     for module in [&right, &left] {
         module.net.panic_sessions();

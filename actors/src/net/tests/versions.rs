@@ -121,19 +121,20 @@ impl Handle<one::Speed> for Old {
     }
 }
 
-async fn live(module: &Module, spec: ChildSpec<impl Component>) -> Box<dyn Child> {
-    let (mut child, _) = spec.into_child(&module.host).unwrap();
-    child.start(Incarnation(1), Probe::<ChildReport>::start().recipient().into());
+async fn live<C: Component>(
+    module: &Module,
+    name: &str,
+    make: impl Fn(Log) -> C + Send + Sync + 'static,
+) -> (Box<dyn Child>, Log) {
+    let begun = module.begin(name, make, (ChildSpec::<C>::QUEUE, WhenFull::Refuse)).await;
     advance(50 * MS).await;
-    child
+    begun
 }
 
 #[blastema_macros::test(crate = "blastema_doubles")]
 async fn messages_requests_and_events_of_earlier_releases_are_converted_by_the_receiver() {
     let (_robot, left, right) = pair().await;
-    let log = Log::default();
-    let kept = log.clone();
-    let _wheels = live(&right, ChildSpec::new("wheels", move || Wheels(kept.clone()))).await;
+    let (_wheels, log) = live(&right, "wheels", Wheels).await;
 
     let granted = left.sender::<one::Limit>("right:wheels").ask(one::Limit(700)).await;
     assert_eq!(granted.unwrap(), 350, "there and back");
@@ -157,9 +158,7 @@ async fn messages_requests_and_events_of_earlier_releases_are_converted_by_the_r
 async fn a_topic_that_is_known_before_anybody_listens_is_settled_at_once() {
     let (_robot, left, right) = pair().await;
     let old = left.host.feature::<Topics>().publisher::<one::Speed>("speed").unwrap();
-    let log = Log::default();
-    let kept = log.clone();
-    let _wheels = live(&right, ChildSpec::new("wheels", move || Wheels(kept.clone()))).await;
+    let (_wheels, log) = live(&right, "wheels", Wheels).await;
 
     old.publish(one::Speed { mm_per_s: 4 }).unwrap();
     advance(50 * MS).await;
@@ -170,9 +169,7 @@ async fn a_topic_that_is_known_before_anybody_listens_is_settled_at_once() {
 #[blastema_macros::test(crate = "blastema_doubles")]
 async fn who_is_older_than_the_sender_is_refused_with_the_difference_on_both_sides() {
     let (_robot, left, right) = pair().await;
-    let log = Log::default();
-    let kept = log.clone();
-    let _old = live(&right, ChildSpec::new("old", move || Old(kept.clone()))).await;
+    let (_old, log) = live(&right, "old", Old).await;
 
     let new = left.host.feature::<Topics>().publisher::<two::Speed>("speed").unwrap();
     for _ in 0..3 {
@@ -281,9 +278,7 @@ impl Handle<frail_two::Brittle> for Glass {
 #[blastema_macros::test(crate = "blastema_doubles")]
 async fn a_conversion_that_panics_is_the_receivers_fault_and_costs_that_message_alone() {
     let (_robot, left, right) = pair().await;
-    let log = Log::default();
-    let kept = log.clone();
-    let _glass = live(&right, ChildSpec::new("glass", move || Glass(kept.clone()))).await;
+    let (_glass, log) = live(&right, "glass", Glass).await;
     let glass = left.sender::<frail_one::Frail>("right:glass");
     let brittle = left.sender::<frail_one::Brittle>("right:glass");
     let topic = left.host.feature::<Topics>().publisher::<frail_one::Frail>("frail").unwrap();

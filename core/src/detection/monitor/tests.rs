@@ -54,20 +54,16 @@ fn row(monitor: &Monitor, name: &str, now: u64) -> MonitorRow {
     monitor.read_table(at(now)).into_iter().find(is_it).expect("it has a row")
 }
 
+fn of_laser(incarnation: Incarnation, finding: Finding) -> LivenessEvent {
+    LivenessEvent::Component { object: object("laser"), incarnation, finding }
+}
+
 fn silent(incarnation: Incarnation) -> LivenessEvent {
-    LivenessEvent::Component {
-        object: object("laser"),
-        incarnation,
-        finding: Finding::Silent { age: TENTH },
-    }
+    of_laser(incarnation, Finding::Silent { age: TENTH })
 }
 
 fn waits(incarnation: Incarnation, age: Duration) -> LivenessEvent {
-    LivenessEvent::Component {
-        object: object("laser"),
-        incarnation,
-        finding: Finding::Waits { during: "Scan", age },
-    }
+    of_laser(incarnation, Finding::Waits { during: "Scan", age })
 }
 
 fn panicked() -> ExitReason {
@@ -96,11 +92,7 @@ fn silence_is_observed_and_so_is_its_end() {
     assert_eq!(seen(&mut monitor), ["m:laser Silent"]);
     assert_eq!(row(&monitor, "m:laser", 3000).opinion, Opinion::Failed);
 
-    let spoke = LivenessEvent::Component {
-        object: object("laser"),
-        incarnation: TWO,
-        finding: Finding::Spoke,
-    };
+    let spoke = of_laser(TWO, Finding::Spoke);
     monitor.handle_liveness(spoke.clone(), at(3000));
     monitor.handle_liveness(spoke, at(3001));
     assert_eq!(seen(&mut monitor), ["m:laser Spoke"]);
@@ -116,19 +108,11 @@ fn an_overload_is_observed_with_its_victims_and_condemns_nobody() {
     let mut monitor = watched();
     let overloaded = |incarnation| {
         let (figures, victims) = (OverloadFigures::default(), [object("map")].into());
-        LivenessEvent::Component {
-            object: object("laser"),
-            incarnation,
-            finding: Finding::Overloaded { figures, victims },
-        }
+        of_laser(incarnation, Finding::Overloaded { figures, victims })
     };
     monitor.handle_liveness(overloaded(TWO), at(1));
     monitor.handle_liveness(overloaded(ONE), at(2));
-    let flows = LivenessEvent::Component {
-        object: object("laser"),
-        incarnation: TWO,
-        finding: Finding::Flows,
-    };
+    let flows = of_laser(TWO, Finding::Flows);
     monitor.handle_liveness(flows, at(3));
 
     assert_eq!(seen(&mut monitor), ["m:laser Overloaded", "m:laser Flows"]);

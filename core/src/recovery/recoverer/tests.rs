@@ -372,20 +372,6 @@ fn a_component_on_the_lost_thread_of_another_is_treated_at_once() {
 }
 
 #[test]
-fn a_fault_that_clears_while_it_waits_is_dropped() {
-    let mut rig = Rig::new();
-    rig.find(panic_of(1, "laser", 1));
-    assert_eq!(rig.stand_down(1, "laser"), [""; 0]);
-    assert_eq!(rig.machine.cases.len(), 1);
-    rig.outcome(1, fails());
-
-    rig.stand_down(1, "laser");
-
-    assert_eq!(rig.machine.cases.len(), 0);
-    assert_eq!(rig.pass(Duration::from_secs(1)), [""; 0]);
-}
-
-#[test]
 fn a_late_isolation_does_not_contain_the_next_incarnation() {
     let plan = Plan::default().on(FaultKind::Panic, Ladder::first(RecoveryAction::Isolate));
     let mut rig = Rig::with(plan);

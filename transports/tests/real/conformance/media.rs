@@ -1,6 +1,5 @@
 //! How ends of each medium are opened, and what is put onto its wire that no transport would.
 
-use super::end::in_real_time;
 use super::{Medium, Opened, start};
 use blastema_contract::transport::MediumAddress;
 use blastema_doubles::{now, paused};
@@ -21,7 +20,6 @@ use tempfile::TempDir;
 pub(crate) struct OverMemory(MemoryMedium, Cell<u32>);
 
 impl Medium for OverMemory {
-    const CONNECTS: bool = false;
     const HELD: u64 = 256 + 1024;
 
     fn run(test: impl Future<Output = ()>) {
@@ -36,8 +34,7 @@ impl Medium for OverMemory {
                 format!("end {}", self.1.get()).into()
             }
         };
-        let (address, panic) = start(FrameTransport::new(Memory::new(&self.0, &name)));
-        Opened { transport: address.into(), wrapper: None, panic }
+        Opened::of(FrameTransport::new(Memory::new(&self.0, &name)))
     }
 
     /// What is in memory is typed.
@@ -55,20 +52,12 @@ pub(crate) fn ip(address: &MediumAddress) -> SocketAddr {
 pub(crate) struct OverUdp;
 
 impl Medium for OverUdp {
-    const CONNECTS: bool = false;
-    const HELD: u64 = 256;
-
-    fn run(test: impl Future<Output = ()>) {
-        in_real_time(test);
-    }
-
     fn open(&self, at: Option<MediumAddress>) -> Opened {
         let mut config = UdpConfig::default();
         if let Some(at) = at {
             config.bind = ip(&at);
         }
-        let (address, panic) = start(Udp::new(config));
-        Opened { transport: address.into(), wrapper: None, panic }
+        Opened::of(Udp::new(config))
     }
 
     fn garbage(&self, to: &MediumAddress) {
@@ -90,21 +79,13 @@ impl Default for OverMulticast {
 }
 
 impl Medium for OverMulticast {
-    const CONNECTS: bool = false;
-    const HELD: u64 = 256;
-
-    fn run(test: impl Future<Output = ()>) {
-        in_real_time(test);
-    }
-
     fn open(&self, at: Option<MediumAddress>) -> Opened {
         let mut config = UdpConfig::default();
         config.group = Some(self.0);
         if let Some(at) = at {
             config.bind = ip(&at);
         }
-        let (address, panic) = start(Udp::new(config));
-        Opened { transport: address.into(), wrapper: None, panic }
+        Opened::of(Udp::new(config))
     }
 
     fn garbage(&self, to: &MediumAddress) {
@@ -121,19 +102,13 @@ pub(crate) struct OverTcp;
 
 impl Medium for OverTcp {
     const CONNECTS: bool = true;
-    const HELD: u64 = 256;
-
-    fn run(test: impl Future<Output = ()>) {
-        in_real_time(test);
-    }
 
     fn open(&self, at: Option<MediumAddress>) -> Opened {
         let mut config = TcpConfig::default();
         if let Some(at) = at {
             config.bind = ip(&at);
         }
-        let (address, panic) = start(Tcp::new(config));
-        Opened { transport: address.into(), wrapper: None, panic }
+        Opened::of(Tcp::new(config))
     }
 
     fn garbage(&self, to: &MediumAddress) {
@@ -157,11 +132,6 @@ impl Default for OverUnix {
 
 impl Medium for OverUnix {
     const CONNECTS: bool = true;
-    const HELD: u64 = 256;
-
-    fn run(test: impl Future<Output = ()>) {
-        in_real_time(test);
-    }
 
     fn open(&self, at: Option<MediumAddress>) -> Opened {
         let path = match at {
@@ -171,8 +141,7 @@ impl Medium for OverUnix {
                 self.0.path().join(self.1.get().to_string())
             }
         };
-        let (address, panic) = start(Unix::new(UnixConfig::new(path)));
-        Opened { transport: address.into(), wrapper: None, panic }
+        Opened::of(Unix::new(UnixConfig::new(path)))
     }
 
     fn garbage(&self, to: &MediumAddress) {
@@ -203,14 +172,8 @@ impl OverSerial {
 }
 
 impl Medium for OverSerial {
-    const CONNECTS: bool = false;
-    const HELD: u64 = 256;
     // The cable does.
     const KEEPS: bool = true;
-
-    fn run(test: impl Future<Output = ()>) {
-        in_real_time(test);
-    }
 
     fn open(&self, at: Option<MediumAddress>) -> Opened {
         if at.is_none() {
@@ -218,8 +181,7 @@ impl Medium for OverSerial {
         }
         let mut config = SerialConfig::new(self.last());
         (config.baud, config.mtu) = (Some(50_000_000), Some(65_535));
-        let (address, panic) = start(FrameTransport::new(SerialLine::new(config, now)));
-        Opened { transport: address.into(), wrapper: None, panic }
+        Opened::of(FrameTransport::new(SerialLine::new(config, now)))
     }
 
     fn garbage(&self, _: &MediumAddress) {
@@ -239,13 +201,6 @@ impl Default for OverSlcan {
 }
 
 impl Medium for OverSlcan {
-    const CONNECTS: bool = false;
-    const HELD: u64 = 256;
-
-    fn run(test: impl Future<Output = ()>) {
-        in_real_time(test);
-    }
-
     fn open(&self, at: Option<MediumAddress>) -> Opened {
         let address = match at {
             Some(MediumAddress::Can(address)) => address,
@@ -259,9 +214,7 @@ impl Medium for OverSlcan {
         config.bitrate = 1_000_000;
         (config.node.address, config.node.mtu) = (address, 65_000);
         config.node.queue_frames = 256;
-        let (address, panic) =
-            start(FrameTransport::new(SlcanBus::new(config, blastema_doubles::now)));
-        Opened { transport: address.into(), wrapper: None, panic }
+        Opened::of(FrameTransport::new(SlcanBus::new(config, blastema_doubles::now)))
     }
 
     fn garbage(&self, to: &MediumAddress) {

@@ -27,14 +27,16 @@ use suite::*;
 /// How the suite opens ends of one medium.
 trait Medium: Default + 'static {
     /// A peer that is gone is noticed by the medium itself.
-    const CONNECTS: bool;
+    const CONNECTS: bool = false;
     /// What may wait for a receiver that hangs, in frames, apart from the kernel's buffers.
-    const HELD: u64;
+    const HELD: u64 = 256;
     /// Frames that are sent while no peer is at the other end may arrive later.
     const KEEPS: bool = false;
 
     /// Runs a test on the clock that suits the medium.
-    fn run(test: impl Future<Output = ()>);
+    fn run(test: impl Future<Output = ()>) {
+        end::in_real_time(test);
+    }
 
     /// An end at this address, or anywhere.
     fn open(&self, at: Option<MediumAddress>) -> Opened;
@@ -48,6 +50,17 @@ struct Opened {
     transport: Transport,
     wrapper: Option<Recipient<ReadInjectedFaults>>,
     panic: Rc<Cell<bool>>,
+}
+
+impl Opened {
+    fn of<A>(actor: A) -> Self
+    where
+        A: Actor<Context = Context<A>> + Supervised,
+        Addr<A>: Into<Transport>,
+    {
+        let (address, panic) = start(actor);
+        Opened { transport: address.into(), wrapper: None, panic }
+    }
 }
 
 /// An end, and what is behind it.

@@ -1,6 +1,5 @@
 //! CAN as the system has it; only the guest of `tests/guest` has any.
 
-use super::end::in_real_time;
 use super::*;
 use blastema_transports::{CanBus, CanConfig, FrameTransport};
 use socketcan::{CanDataFrame, CanFdSocket, EmbeddedFrame, ExtendedId, Socket};
@@ -14,13 +13,6 @@ static NEXT: AtomicU8 = AtomicU8::new(1);
 struct OverCan<const FD: bool>;
 
 impl<const FD: bool> Medium for OverCan<FD> {
-    const CONNECTS: bool = false;
-    const HELD: u64 = 256;
-
-    fn run(test: impl Future<Output = ()>) {
-        in_real_time(test);
-    }
-
     fn open(&self, at: Option<MediumAddress>) -> Opened {
         let mut config = CanConfig::new(INTERFACE);
         (config.fd, config.bit_rate_switch) = (FD, FD);
@@ -29,9 +21,7 @@ impl<const FD: bool> Medium for OverCan<FD> {
             _ => NEXT.fetch_add(1, Ordering::Relaxed),
         };
         (config.node.mtu, config.node.queue_frames) = (65_000, 256);
-        let (address, panic) =
-            start(FrameTransport::new(CanBus::new(config, blastema_doubles::now)));
-        Opened { transport: address.into(), wrapper: None, panic }
+        Opened::of(FrameTransport::new(CanBus::new(config, blastema_doubles::now)))
     }
 
     fn garbage(&self, to: &MediumAddress) {

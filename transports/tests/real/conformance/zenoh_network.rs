@@ -1,6 +1,5 @@
 //! Ends that are connected by a router of Zenoh, in this process and on loopback.
 
-use super::end::in_real_time;
 use super::*;
 use blastema_transports::FrameTransport;
 use blastema_zenoh::ZenohNetwork;
@@ -62,15 +61,10 @@ impl Drop for OverZenoh {
 }
 
 impl Medium for OverZenoh {
-    const CONNECTS: bool = false;
     // Before the receiver, and in the medium.
     const HELD: u64 = 256 + 1024;
     // Some wait for the thread of Zenoh.
     const KEEPS: bool = true;
-
-    fn run(test: impl Future<Output = ()>) {
-        in_real_time(test);
-    }
 
     fn open(&self, at: Option<MediumAddress>) -> Opened {
         let name = match at {
@@ -81,8 +75,7 @@ impl Medium for OverZenoh {
             }
         };
         let network = ZenohNetwork::new("fleet/ranger", &name).connect(&self.at);
-        let (address, panic) = start(FrameTransport::new(network));
-        Opened { transport: address.into(), wrapper: None, panic }
+        Opened::of(FrameTransport::new(network))
     }
 
     fn garbage(&self, to: &MediumAddress) {

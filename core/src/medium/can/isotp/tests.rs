@@ -39,6 +39,11 @@ impl Bus {
         }
     }
 
+    fn send(&mut self, from: usize, to: BusAddress, message: Bytes) {
+        let taken = self.nodes[from].handle_message(to, message, FrameLane::Usual, self.now);
+        assert_eq!(taken, Ok(()));
+    }
+
     /// Runs until nothing is under way any more; each frame takes a quarter of a millisecond.
     fn run(&mut self) {
         for _ in 0..200_000 {
@@ -97,15 +102,7 @@ fn messages_of_every_length_arrive_over_both_formats_and_all_block_sizes() {
             let config = IsoTpConfig { block_size, separation, ..large(format) };
             let mut bus = Bus::new(vec![node(1, config), node(2, config)]);
             let lengths = [1, 6, 7, 8, 9, 13, 14, 61, 62, 63, 64, 125, 126, 1000, 4095, 4096, 5000];
-            for length in lengths {
-                let taken = bus.nodes[0].handle_message(
-                    BusAddress(2),
-                    message(length, 3),
-                    FrameLane::Usual,
-                    bus.now,
-                );
-                assert_eq!(taken, Ok(()));
-            }
+            lengths.iter().for_each(|length| bus.send(0, BusAddress(2), message(*length, 3)));
 
             bus.run();
 
@@ -123,13 +120,7 @@ fn messages_of_every_length_arrive_over_both_formats_and_all_block_sizes() {
 fn nodes_of_both_formats_understand_each_other() {
     let mut bus = Bus::new(vec![node(1, large(FD)), node(2, large(Format::Classic))]);
     for (own, other) in [(0, 2), (1, 1)] {
-        let taken = bus.nodes[own].handle_message(
-            BusAddress(other),
-            message(500, other),
-            FrameLane::Usual,
-            bus.now,
-        );
-        assert_eq!(taken, Ok(()));
+        bus.send(own, BusAddress(other), message(500, other));
     }
 
     bus.run();
@@ -145,10 +136,7 @@ fn every_node_can_speak_to_every_other_at_one_time_and_to_all() {
     let targets = || (0..8).map(BusAddress).chain([BusAddress::ALL]);
     for own in 0..8_u8 {
         for to in targets().filter(|to| *to != BusAddress(own)) {
-            let message = message(100 + usize::from(to.0), own);
-            let taken =
-                bus.nodes[usize::from(own)].handle_message(to, message, FrameLane::Usual, bus.now);
-            assert_eq!(taken, Ok(()));
+            bus.send(own.into(), to, message(100 + usize::from(to.0), own));
         }
     }
 
@@ -172,12 +160,7 @@ fn every_node_can_speak_to_every_other_at_one_time_and_to_all() {
 fn a_target_that_is_not_there_loses_what_waits_and_nobody_else_does() {
     let mut bus = Bus::new(vec![node(1, large(Format::Classic)), node(2, large(Format::Classic))]);
     for to in [9, 2] {
-        for seed in 0..5 {
-            let message = message(50, seed);
-            let taken =
-                bus.nodes[0].handle_message(BusAddress(to), message, FrameLane::Usual, bus.now);
-            assert_eq!(taken, Ok(()));
-        }
+        (0..5).for_each(|seed| bus.send(0, BusAddress(to), message(50, seed)));
     }
 
     bus.run();
@@ -254,12 +237,7 @@ fn an_urgent_message_goes_before_those_that_wait_for_the_same_target() {
     let config = large(Format::Classic);
     let mut bus = Bus::new(vec![node(1, config), node(2, config)]);
     let to = BusAddress(2);
-    for length in [100, 200, 300] {
-        assert_eq!(
-            bus.nodes[0].handle_message(to, message(length, 0), FrameLane::Usual, bus.now),
-            Ok(())
-        );
-    }
+    [100, 200, 300].into_iter().for_each(|length| bus.send(0, to, message(length, 0)));
 
     assert_eq!(bus.nodes[0].handle_message(to, message(50, 0), FrameLane::Urgent, bus.now), Ok(()));
     bus.run();
@@ -273,14 +251,8 @@ fn frames_of_long_messages_take_turns() {
     let config = large(Format::Classic);
     let mut bus = Bus::new(vec![node(1, config), node(2, config), node(3, config)]);
     // The short message is not kept waiting by the long one.
-    assert_eq!(
-        bus.nodes[0].handle_message(BusAddress(2), message(5000, 0), FrameLane::Usual, bus.now),
-        Ok(())
-    );
-    assert_eq!(
-        bus.nodes[0].handle_message(BusAddress(3), message(50, 0), FrameLane::Usual, bus.now),
-        Ok(())
-    );
+    bus.send(0, BusAddress(2), message(5000, 0));
+    bus.send(0, BusAddress(3), message(50, 0));
 
     bus.run();
 
@@ -316,7 +288,7 @@ proptest! {
         for (number, length) in lengths.iter().enumerate() {
             let (here, there) = (number % 2, BusAddress(2 - number as u8 % 2));
             let message = message(*length, number as u8);
-            prop_assert_eq!(bus.nodes[here].handle_message(there, message, FrameLane::Usual, bus.now), Ok(()));
+            bus.send(here, there, message);
         }
 
         bus.run();
