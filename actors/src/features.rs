@@ -90,9 +90,10 @@ impl<C: Component> Context<C> {
     ) -> Result<Commander<M>, DeliveryError> {
         let environment = &self.cell.record.environment;
         let own = environment.registry.full_name(self.name());
-        let who = (own, self.incarnation());
-        let way = environment.registry.sender(actuator)?;
-        let (commander, renewing) = actuator::commander(actuator.to_owned(), way, who);
+        let sender = environment.registry.sender(actuator)?;
+        let incarnation = self.incarnation();
+        let (commander, renewing) =
+            actuator::commander(actuator.to_owned(), sender, own, incarnation);
         self.spawn(renewing);
         Ok(commander)
     }

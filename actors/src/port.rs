@@ -47,7 +47,7 @@ impl<M: Contract> OutPort for Commander<M> {
     fn open<C: Component>(cx: &mut Context<C>, port: PortAddress) -> Result<Self, DeliveryError> {
         let (actuator, way) = (port.to_string(), sender(cx, port));
         let own = cx.cell.record.environment.registry.full_name(cx.name());
-        let (commander, renewing) = commander(actuator, way, (own, cx.incarnation()));
+        let (commander, renewing) = commander(actuator, way, own, cx.incarnation());
         cx.spawn(renewing);
         Ok(commander)
     }

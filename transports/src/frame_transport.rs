@@ -184,7 +184,8 @@ impl MediumActor for FrameTransport {
             self.upstream.counters.refused += 1;
         } else if !self.queue.push(
             lane,
-            ((to, frame.into_bytes()), self.upstream.now()),
+            (to, frame.into_bytes()),
+            self.upstream.now(),
             bytes,
             limits,
         ) {

@@ -47,7 +47,8 @@ impl<T> TransmitQueues<T> {
     pub(crate) fn push(
         &mut self,
         lane: FrameLane,
-        (one, since): (T, Option<Instant>),
+        one: T,
+        since: Option<Instant>,
         bytes: usize,
         limits: QueueLimits,
     ) -> bool {
@@ -130,7 +131,7 @@ mod tests {
         let mut lanes = TransmitQueues::default();
         for one in 1..=6 {
             let lane = [FrameLane::Usual, FrameLane::Urgent, FrameLane::Hello][one as usize % 3];
-            assert!(lanes.push(lane, (one, None), 10, LIMITS));
+            assert!(lanes.push(lane, one, None, 10, LIMITS));
         }
 
         assert_eq!(drain(&mut lanes), [2, 5, 1, 4, 3, 6]);
@@ -142,14 +143,14 @@ mod tests {
         let mut lanes = TransmitQueues::default();
 
         let usual =
-            (0..30).filter(|one| lanes.push(FrameLane::Usual, (*one, None), 0, LIMITS)).count();
+            (0..30).filter(|one| lanes.push(FrameLane::Usual, *one, None, 0, LIMITS)).count();
         let urgent =
-            (0..30).filter(|one| lanes.push(FrameLane::Urgent, (*one, None), 400, LIMITS)).count();
+            (0..30).filter(|one| lanes.push(FrameLane::Urgent, *one, None, 400, LIMITS)).count();
 
         assert_eq!((usual, urgent), (20, 2));
-        assert!(lanes.push(FrameLane::Hello, (0, None), 1_000, LIMITS));
+        assert!(lanes.push(FrameLane::Hello, 0, None, 1_000, LIMITS));
         assert_eq!(lanes.clear(), 23);
-        assert!(lanes.is_empty() && lanes.push(FrameLane::Urgent, (1, None), 1_000, LIMITS));
+        assert!(lanes.is_empty() && lanes.push(FrameLane::Urgent, 1, None, 1_000, LIMITS));
     }
 
     #[test]
@@ -161,8 +162,8 @@ mod tests {
             TransmitBacklog { frames, oldest }
         };
         assert_eq!(lanes.backlog(false, at(0)), backlog(0, 0));
-        assert!(lanes.push(FrameLane::Usual, (1, at(0)), 10, LIMITS));
-        assert!(lanes.push(FrameLane::Hello, (2, at(30)), 10, LIMITS));
+        assert!(lanes.push(FrameLane::Usual, 1, at(0), 10, LIMITS));
+        assert!(lanes.push(FrameLane::Hello, 2, at(30), 10, LIMITS));
 
         assert_eq!(lanes.backlog(false, at(40)), backlog(2, 40));
         assert_eq!(lanes.pop().map(|(_, one)| one), Some(2));
@@ -174,8 +175,8 @@ mod tests {
     #[test]
     fn a_flood_of_the_urgent_leaves_the_usual_one_place_in_nine() {
         let mut lanes = TransmitQueues::default();
-        (0..18).for_each(|one| assert!(lanes.push(FrameLane::Urgent, (one, None), 1, LIMITS)));
-        (100..103).for_each(|one| assert!(lanes.push(FrameLane::Usual, (one, None), 1, LIMITS)));
+        (0..18).for_each(|one| assert!(lanes.push(FrameLane::Urgent, one, None, 1, LIMITS)));
+        (100..103).for_each(|one| assert!(lanes.push(FrameLane::Usual, one, None, 1, LIMITS)));
 
         let order = drain(&mut lanes);
 

@@ -217,7 +217,8 @@ impl<M: Contract> fmt::Debug for Commander<M> {
 pub(crate) fn commander<M: Contract>(
     actuator: String,
     sender: Sender<ActuatorCommand>,
-    (name, incarnation): (String, Incarnation),
+    name: String,
+    incarnation: Incarnation,
 ) -> (Commander<M>, impl Future<Output = ()> + 'static + use<M>) {
     let state = Arc::new(CommanderState {
         actuator,

@@ -177,7 +177,7 @@ impl ActuatorTable {
         let serve = move |order: ActuatorCommand,
                           from: MessageOrigin,
                           reply: Responder<ActuatorCommand>| {
-            table.serve((&object, &access), order, from, reply)
+            table.serve(&object, &access, order, from, reply)
         };
         ContractPort::of_service_fn(ServiceFn::<ActuatorCommand>(Arc::new(serve)))
     }
@@ -343,7 +343,8 @@ impl ActuatorTable {
     /// The actuator of this name and contract, and the command that `make` makes for it.
     pub(crate) fn command_for<T>(
         &self,
-        (object, contract): (&str, &str),
+        object: &str,
+        contract: &str,
         make: impl FnOnce(&DeclaredActuator) -> T,
     ) -> Option<(ActuatorKey, T)> {
         let all = self.all().into_iter();
@@ -360,7 +361,8 @@ impl ActuatorTable {
     /// Each message is checked: the number of a lease is easily guessed.
     fn meant(
         &self,
-        (object, access): (&ObjectName, &AccessControl),
+        object: &ObjectName,
+        access: &AccessControl,
         identity: &[u8],
         from: MessageOrigin,
     ) -> Result<Arc<Actuator>, RequestRefusal> {
@@ -378,12 +380,13 @@ impl ActuatorTable {
 
     fn serve(
         &self,
-        to: (&ObjectName, &AccessControl),
+        object: &ObjectName,
+        access: &AccessControl,
         ActuatorCommand { identity, wish }: ActuatorCommand,
         from: MessageOrigin,
         reply: Responder<ActuatorCommand>,
     ) {
-        let actuator = match self.meant(to, &identity, from) {
+        let actuator = match self.meant(object, access, &identity, from) {
             Ok(actuator) => actuator,
             Err(refusal) => return reply.settle(Err(refusal)),
         };
@@ -434,7 +437,7 @@ impl ActuatorTable {
                         Err(DeliveryError::Expired)
                     }
                     Ok(()) => {
-                        actuator.command((message, age), &mut lease, reply);
+                        actuator.command(message, age, &mut lease, reply);
                         drop(lease);
                         return self.timekeeper.look();
                     }
@@ -596,7 +599,8 @@ impl Actuator {
     /// safe command finds it where it waits.
     fn command(
         &self,
-        (message, age): (Vec<u8>, Duration),
+        message: Vec<u8>,
+        age: Duration,
         lease: &mut Lease,
         reply: Responder<ActuatorCommand>,
     ) {
@@ -634,7 +638,7 @@ mod tests {
         let (sent, reply) = mpsc::channel();
         let responder = Responder::called_back(Box::new(move |done| drop(sent.send(done))), None);
         let (order, access) = (ActuatorCommand { identity, wish }, AccessControl::default());
-        table.serve((&wheels, &access), order, MessageOrigin { peer }, responder);
+        table.serve(&wheels, &access, order, MessageOrigin { peer }, responder);
         let done = reply.try_recv().expect("it is answered at once")?;
         Ok(done.expect("it is the same contract").epoch)
     }

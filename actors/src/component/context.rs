@@ -278,7 +278,7 @@ impl<C: Component> Context<C> {
         if many > 0 {
             let record = &self.cell.record;
             let reason = DeadReason::from(why);
-            record.environment.dead_letters.take_many(None, &record.name, M::NAME, (reason, many));
+            record.environment.dead_letters.take_many(None, &record.name, M::NAME, reason, many);
         }
     }
 

@@ -151,7 +151,7 @@ impl ChannelSource {
                 last.jitter = last.heard_at.map(|_| measured.jitter());
                 last.loss_permille = measured.loss_permille();
                 let trip = match self.spec.wants_latency() {
-                    true => self.network.topic_trip((topic, events.contract), wiring, shared, now),
+                    true => self.network.topic_trip(topic, events.contract, wiring, shared, now),
                     false => None,
                 };
                 // What was known stays while a round trip is not.
@@ -228,7 +228,8 @@ impl NetworkSource {
     /// when that node has left. Where no node did, events come from this one.
     fn topic_trip(
         &mut self,
-        (topic, contract): (&ObjectName, &str),
+        topic: &ObjectName,
+        contract: &str,
         wiring: &ConditionWiring,
         shared: &mut SharedReadings,
         now: Instant,

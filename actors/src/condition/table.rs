@@ -77,8 +77,8 @@ impl Drop for ConditionUse {
             // Its faults end with it; what watched it is not woken.
             let status = entry.status.borrow().clone();
             entry.status = watch::Sender::new(status);
-            let state = (ConditionState::Connected, "no leaf looks at it any more");
-            entry.report(&object, state, &wiring.reports, crate::platform::now());
+            let (state, cause) = (ConditionState::Connected, "no leaf looks at it any more");
+            entry.report(&object, state, cause, &wiring.reports, crate::platform::now());
             table.entries.remove(&object);
         }
     }
@@ -205,7 +205,7 @@ impl Conditions {
                 judge.handle_reading(&source.read(wiring, shared, now), now);
             });
             let (state, cause) = (entry.judges.state(), entry.judges.cause());
-            entry.report(object, (state, &cause), &wiring.reports, now);
+            entry.report(object, state, &cause, &wiring.reports, now);
             next = entry.judges.poll_timeout().map_or(next, |due| next.min(due));
             let followers = entry.followers.iter().cloned();
             followed.extend(followers.map(|follow| (follow, state, cause.clone())));
@@ -228,7 +228,8 @@ impl Entry {
     fn report(
         &mut self,
         object: &ObjectName,
-        (state, cause): (ConditionState, &str),
+        state: ConditionState,
+        cause: &str,
         reports: &FaultReports,
         now: Instant,
     ) {

@@ -281,7 +281,7 @@ impl<C: Component> ScheduledWork<C> {
     pub(crate) fn poll(&mut self, cx: &mut Context<'_>) {
         self.fresh = false;
         let Some(work) = &mut self.work else { return };
-        work.poll_schedule((self.interval, self.is_precise), self.timers.as_deref(), cx);
+        work.poll_schedule(self.interval, self.is_precise, self.timers.as_deref(), cx);
         work.poll_tasks(cx);
     }
 
@@ -402,7 +402,8 @@ impl Work {
     /// Makes due what is, until everything lies ahead.
     fn poll_schedule<C: Component>(
         &mut self,
-        (interval, is_precise): (Option<Duration>, bool),
+        interval: Option<Duration>,
+        is_precise: bool,
         timers: Option<&TimerTable<C>>,
         cx: &mut Context<'_>,
     ) {
@@ -413,7 +414,7 @@ impl Work {
             }
             let now = platform::now().max(earliest);
             while let Some(((at, _), work)) = self.schedule.pop_first_if(|(at, _)| *at <= now) {
-                self.fall_due(work, (at, now), interval, timers);
+                self.fall_due(work, at, now, interval, timers);
             }
         }
         self.alarm = None;
@@ -422,7 +423,8 @@ impl Work {
     fn fall_due<C: Component>(
         &mut self,
         mut work: DueWork,
-        (at, now): (Instant, Instant),
+        at: Instant,
+        now: Instant,
         interval: Option<Duration>,
         timers: Option<&TimerTable<C>>,
     ) {
@@ -508,7 +510,7 @@ mod tests {
             while let Some(((due, _), round)) =
                 work.schedule.pop_first_if(|(due, _)| *due <= at(now))
             {
-                work.fall_due::<NoTimers>(round, (due, at(now)), Some(period), None);
+                work.fall_due::<NoTimers>(round, due, at(now), Some(period), None);
             }
             missed += std::mem::take(&mut work.missed);
             let round = if runs { work.due.pop_front() } else { None };

@@ -112,7 +112,8 @@ impl JournalActor {
     pub(crate) fn new(
         path: PathBuf,
         lock: Option<JournalLock>,
-        (node, incarnation): (NodeName, Incarnation),
+        node: NodeName,
+        incarnation: Incarnation,
         record: Recipient<ReadRecord>,
         reports: FaultReports,
     ) -> (Self, JournalGuard) {

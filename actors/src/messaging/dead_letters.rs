@@ -37,7 +37,7 @@ impl DeadLetterLog {
         contract: impl Into<Cow<'static, str>>,
         why: &DeliveryError,
     ) {
-        self.take_many(node, object, contract, (why.into(), 1));
+        self.take_many(node, object, contract, why.into(), 1);
     }
 
     /// The same of so many, given up together.
@@ -46,7 +46,8 @@ impl DeadLetterLog {
         node: Option<NodeName>,
         object: &ObjectName,
         contract: impl Into<Cow<'static, str>>,
-        (reason, many): (DeadReason, u64),
+        reason: DeadReason,
+        many: u64,
     ) {
         let contract = contract.into();
         message_log::lost(&contract, object, reason, many);

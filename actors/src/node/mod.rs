@@ -230,9 +230,10 @@ impl Node {
         actuator: &str,
         own: &str,
     ) -> Result<Commander<M>, DeliveryError> {
-        let who = (format!("{}:{own}", self.0.name), self.0.incarnation);
-        let way = self.0.environment.registry.sender(actuator)?;
-        let (commander, renewing) = actuator::commander(actuator.to_owned(), way, who);
+        let own = format!("{}:{own}", self.0.name);
+        let sender = self.0.environment.registry.sender(actuator)?;
+        let (commander, renewing) =
+            actuator::commander(actuator.to_owned(), sender, own, self.0.incarnation);
         actix_rt::spawn(renewing);
         Ok(commander)
     }

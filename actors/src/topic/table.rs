@@ -246,7 +246,8 @@ impl Topics {
     pub(crate) fn forward(
         &self,
         key: &TopicKey,
-        (node, wanted): (NodeName, Vec<PeerIdentity>),
+        node: NodeName,
+        wanted: Vec<PeerIdentity>,
         forward: RemoteForward,
         before: Option<&ForwardId>,
     ) -> ForwardId {

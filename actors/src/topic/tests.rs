@@ -269,7 +269,7 @@ fn joins<E: Event>(topics: &Topics, topic: &str, node: &Arc<Narrow>) {
     let key = TopicKey::new(topic, E::NAME).unwrap();
     let wanted = vec![ContractIdentity::of::<E>().brief()];
     let far = NodeName::new("far").unwrap();
-    topics.forward(&key, (far, wanted), Arc::new(ToNarrow(node.clone())), None);
+    topics.forward(&key, far, wanted, Arc::new(ToNarrow(node.clone())), None);
 }
 
 #[blastema_macros::test(crate = "blastema_doubles")]

@@ -117,9 +117,9 @@ impl BehaviorTree {
         leaves: &TreeLeaves,
         text: &str,
     ) -> Result<ChildSpec<BehaviorTree>, TreeErrors> {
-        let file = (format!("{name}.xml"), text.to_owned());
+        let file = format!("{name}.xml");
         let no_files = |_: &str| Err("no files are included here".to_owned());
-        BehaviorTree::of(leaves, file, no_files).map(|make| make(name))
+        BehaviorTree::of(leaves, file, text.to_owned(), no_files).map(|make| make(name))
     }
 
     /// A component of this name that ticks the main tree of this file. The paths of included files
@@ -149,13 +149,14 @@ impl BehaviorTree {
         let text = read_text(file.as_ref())
             .map_err(|error| io::Error::new(error.kind(), format!("{label}: {error}")))?;
         let include = |path: &str| read_text(Path::new(path)).map_err(|error| error.to_string());
-        let made = BehaviorTree::of(leaves, (label, text), include);
+        let made = BehaviorTree::of(leaves, label, text, include);
         made.map_err(|errors| io::Error::new(io::ErrorKind::InvalidData, errors))
     }
 
     fn of<R: Fn(&str) -> Result<String, String>>(
         leaves: &TreeLeaves,
-        (file, text): (String, String),
+        file: String,
+        text: String,
         read: R,
     ) -> Result<impl Fn(&str) -> ChildSpec<BehaviorTree> + Clone + use<R>, TreeErrors> {
         let (leaves, mut included) = (leaves.clone(), BTreeMap::new());

@@ -248,7 +248,7 @@ impl MediumActor for Udp {
         let Some(frame) = (if waits { Some(frame) } else { self.send(to, frame) }) else { return };
         let limits = QueueLimits { frames: self.config.queue_frames, bytes: usize::MAX };
         let bytes = frame.len();
-        if !self.queue.push(lane, ((to, frame), self.upstream.now()), bytes, limits) {
+        if !self.queue.push(lane, (to, frame), self.upstream.now(), bytes, limits) {
             self.upstream.counters.dropped += 1;
         }
     }

@@ -213,7 +213,7 @@ async fn events_are_shipped_out_once_and_come_in_from_outside() {
     let shipped = Arc::new(Mutex::new(vec![]));
     let kept = shipped.clone();
     let wanted = vec![ContractIdentity::of::<Sample>().brief()];
-    let forward = topics.forward(&key, (far, wanted), Arc::new(Shipped(kept)), None);
+    let forward = topics.forward(&key, far, wanted, Arc::new(Shipped(kept)), None);
     assert!(matches!(
         topics.inject(&key.topic, 0, &Bytes::from_static(&[1]), Duration::ZERO),
         Err(DeliveryError::Unknown { .. })

@@ -53,7 +53,7 @@ fn without_lock(path: &Path, requests: &Arc<AtomicU32>) -> (JournalActor, Journa
     let record = Record { requests: requests.clone() }.start().recipient();
     let (incarnation, reports) = (Incarnation::FIRST, FaultReports::default());
     let (path, lock) = (path.to_owned(), None);
-    JournalActor::new(path, lock, (node, incarnation), record, reports)
+    JournalActor::new(path, lock, node, incarnation, record, reports)
 }
 
 #[blastema_macros::test(crate = "blastema_doubles")]

@@ -164,7 +164,7 @@ impl ObjectGateway {
         let forward: RemoteForward = Arc::new(forward);
         self.end_forward((peer, subscription));
         let before = self.past.get(&(peer, key.topic.clone())).map(|past| &past.id);
-        let id = self.wiring.topics.forward(&key, (node, wanted), forward, before);
+        let id = self.wiring.topics.forward(&key, node, wanted, forward, before);
         let forwarded = Forwarded { id, key: key.clone(), unverified, by, losses };
         self.forwards.insert((peer, subscription), forwarded);
         // An object may have named the topic just now.

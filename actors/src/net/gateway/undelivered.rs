@@ -78,7 +78,7 @@ impl UndeliveredEvents {
 
     pub(super) fn write_down(&self, reason: DeadReason, many: u64) {
         let (node, contract) = (Some(self.node.clone()), self.contract.clone());
-        self.dead_letters.take_many(node, &self.topic, contract, (reason, many));
+        self.dead_letters.take_many(node, &self.topic, contract, reason, many);
     }
 }
 

@@ -26,9 +26,9 @@ impl NodeAssembly {
         let path = without_links(&path);
         self.node.held.push(path.clone());
         let chain = &self.node.chain;
-        let own = (self.node.name.clone(), self.node.incarnation);
+        let (node, incarnation) = (self.node.name.clone(), self.node.incarnation);
         let record = chain.monitor.clone().recipient();
-        let (journal, guard) = JournalActor::new(path, lock, own, record, reports);
+        let (journal, guard) = JournalActor::new(path, lock, node, incarnation, record, reports);
         let journal = chain.guardian.start(
             name.clone(),
             chain.arbiter.as_ref(),

@@ -101,16 +101,12 @@ pub(super) struct RungCommand {
 }
 
 impl RungCommand {
-    fn key(&self) -> (&str, &str) {
-        (&self.actuator, &self.contract)
-    }
-
     /// The actuator with the command; none where the node has no such actuator.
     pub(super) fn resolved(
         &self,
         table: &ActuatorTable,
     ) -> Option<(ActuatorKey, Result<Bytes, Vec<FieldError>>)> {
-        table.command_for(self.key(), &self.command)
+        table.command_for(&self.actuator, &self.contract, &self.command)
     }
 }
 
@@ -164,7 +160,7 @@ impl LostCommunicationPolicy {
     /// The actuators that its rungs command, with their contracts.
     fn actuators(&self) -> BTreeSet<(&str, &str)> {
         let commands = self.rungs.iter().flat_map(|(_, rung)| &rung.commands);
-        commands.map(RungCommand::key).collect()
+        commands.map(|of| (&*of.actuator, &*of.contract)).collect()
     }
 
     /// The components that its rungs run.

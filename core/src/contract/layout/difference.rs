@@ -101,7 +101,7 @@ impl Comparison<'_> {
             (Shape::Struct(m, a), Shape::Struct(n, b)) if m == n => self.compare_fields(path, a, b),
             (Shape::Enum(m, a), Shape::Enum(n, b)) if m == n => {
                 let names = |all: &[Variant<u32>]| all.iter().map(|v| v.name.clone()).collect();
-                self.compare_names(("variant", "::"), path, names(a), names(b));
+                self.compare_names("variant", "::", path, names(a), names(b));
                 for a in a.iter() {
                     if let Some(b) = b.iter().find(|b| b.name == a.name) {
                         self.compare_fields(&join(path, "::", &a.name), &a.fields, &b.fields);
@@ -134,7 +134,7 @@ impl Comparison<'_> {
         }
         let (here, there) = (here.as_slice(), there.as_slice());
         let names = |all: &[Field<u32>]| all.iter().map(|field| field.name.clone()).collect();
-        self.compare_names(("field", "."), path, names(here), names(there));
+        self.compare_names("field", ".", path, names(here), names(there));
         for a in here {
             let Some(b) = there.iter().find(|b| b.name == a.name) else { continue };
             let path = join(path, ".", &a.name);
@@ -154,7 +154,8 @@ impl Comparison<'_> {
     /// Tells which names stand on one side only, and whether the others stand in another order.
     fn compare_names(
         &mut self,
-        (kind, separator): (&str, &str),
+        kind: &str,
+        separator: &str,
         path: &str,
         here: Vec<Text>,
         there: Vec<Text>,
