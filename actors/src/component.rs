@@ -21,7 +21,6 @@ use context::Context;
 use ports::Ports;
 use std::error::Error;
 use std::fmt;
-use std::future::Future;
 
 /// An application's object: a struct with a life cycle.
 ///

@@ -43,7 +43,6 @@ use actix::prelude::{
     Actor, Addr, AsyncContext, Context, Handler, Message, Recipient, ResponseFuture,
 };
 use blastema_core::{Contract, DeliveryError, MessageId};
-use std::future::Future;
 use std::pin::Pin;
 use std::time::Duration;
 

@@ -25,7 +25,6 @@ use bytes::Bytes;
 use ports::{Connections, DeclaredPort};
 use remote::RemoteNames;
 use std::any::{Any, type_name};
-use std::future::Future;
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, Weak};
 use std::time::Duration;

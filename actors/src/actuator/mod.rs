@@ -25,7 +25,6 @@ use blastema_core::{Contract, ContractIdentity, DeliveryError, Incarnation, Inst
 use command::{ActuatorCommand, CommandDone, CommandKind};
 use serde::{Deserialize, Serialize};
 use std::fmt;
-use std::future::Future;
 use std::marker::PhantomData;
 use std::ops::RangeInclusive;
 use std::sync::{Arc, Mutex, MutexGuard, Weak};

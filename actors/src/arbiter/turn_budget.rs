@@ -14,7 +14,6 @@
 use crate::platform;
 use blastema_core::Instant;
 use std::cell::{Cell, RefCell};
-use std::future::Future;
 use std::pin::pin;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;

@@ -37,7 +37,6 @@ use blastema_core::{
 };
 use std::any::TypeId;
 use std::cell::Cell;
-use std::future::Future;
 use std::pin::Pin;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64};

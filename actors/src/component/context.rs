@@ -20,7 +20,6 @@ use blastema_core::{
 use std::any::{Any, TypeId};
 use std::cell::{Cell, RefCell};
 use std::fmt::Debug;
-use std::future::Future;
 use std::ops::RangeBounds;
 use std::pin::Pin;
 use std::rc::Rc;

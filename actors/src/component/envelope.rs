@@ -16,7 +16,6 @@ use crate::platform;
 use blastema_core::{Contract, DeliveryError, Instant, MessageId};
 use std::any::{Any, TypeId};
 use std::cell::Cell;
-use std::future::Future;
 use std::pin::Pin;
 use std::rc::Rc;
 use std::sync::Arc;

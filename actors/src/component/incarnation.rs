@@ -10,7 +10,6 @@ use blastema_core::sorted::SortedMap;
 use blastema_core::{FaultKind, Incarnation, Instant};
 use std::cell::{Cell, OnceCell, RefCell};
 use std::collections::BTreeSet;
-use std::future::Future;
 use std::pin::Pin;
 use std::rc::Rc;
 use std::sync::Arc;

@@ -16,7 +16,6 @@ use blastema_core::{
 };
 use bytes::Bytes;
 use std::any::Any;
-use std::future::Future;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;

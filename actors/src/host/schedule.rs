@@ -21,7 +21,6 @@ use blastema_core::Instant;
 use blastema_core::sorted::SortedMap;
 use futures_util::stream::{FuturesUnordered, Stream};
 use std::collections::VecDeque;
-use std::future::Future;
 use std::pin::Pin;
 use std::rc::Rc;
 use std::task::{Context, Poll};

@@ -5,7 +5,6 @@
 //! at once. Where none is put in, each handler and hook costs one more load.
 
 use blastema_core::Instant;
-use std::future::Future;
 use std::pin::Pin;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64};

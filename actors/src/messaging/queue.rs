@@ -13,7 +13,7 @@ use crate::sync::{Mutex, MutexGuard};
 use blastema_core::{DeliveryError, Incarnation};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
-use std::future::{Future, poll_fn};
+use std::future::poll_fn;
 use std::sync::PoisonError;
 use std::task::{Poll, Waker};
 

@@ -3,7 +3,6 @@
 use crate::messaging::error::{Receiver, RequestError, SendError};
 use crate::messaging::reply::ReplyFuture;
 use blastema_core::{Contract, DeliveryError, MessageId};
-use std::future::Future;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;

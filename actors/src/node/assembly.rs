@@ -57,7 +57,6 @@ use blastema_core::{
 };
 use std::any::Any;
 use std::fs;
-use std::future::Future;
 #[cfg(feature = "unix")]
 use std::path::Path;
 use std::path::PathBuf;

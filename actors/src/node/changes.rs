@@ -29,7 +29,6 @@ use blastema_contract::supervisor::{
 use blastema_core::detection::dependencies::{Dependencies, DependencyError};
 use blastema_core::recovery::{GiveUpReason, Plan};
 use blastema_core::{Incarnation, ObjectName};
-use std::future::Future;
 use std::sync::Mutex;
 use std::time::Duration;
 use tokio::sync::oneshot;

@@ -89,7 +89,7 @@ use controller::Shutdown;
 use lost_communication::KeptPolicy;
 use safety::{EndCause, SignalWait};
 use std::any::type_name;
-use std::future::{Future, pending};
+use std::future::pending;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, OnceLock};

@@ -12,7 +12,6 @@ use crate::fault_chain::strategy::NOT_RETURNED;
 use crate::platform::signals::{Termination, Terminations, on_termination};
 use crate::platform::{self, lock};
 use blastema_core::{Fault, FaultKind};
-use std::future::Future;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::atomic::{AtomicBool, AtomicUsize};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, Weak};

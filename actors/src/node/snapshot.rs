@@ -14,7 +14,6 @@ use blastema_core::lease::LeaseStatus;
 use blastema_core::{Instant, NodeName, ObjectName};
 use futures_util::future::join;
 use serde_json::{Value, json};
-use std::future::Future;
 use std::time::Duration;
 
 /// How long the parts of the document are waited for, all at once. What does not come by then is

@@ -1,7 +1,6 @@
 //! Work that is done to its end, also where its caller waits for it no more.
 
 use actix::ArbiterHandle;
-use std::future::Future;
 use std::pin::Pin;
 use std::task::{Context, Poll};
 use tokio::runtime::Handle;

@@ -5,7 +5,6 @@ use crate::messaging::sink::{MessageSink, Redirect, Redirected};
 use crate::platform::lock;
 use crate::registry::Registry;
 use blastema_core::{Contract, DeliveryError};
-use std::future::Future;
 use std::sync::{Arc, Mutex};
 use tokio::sync::watch;
 

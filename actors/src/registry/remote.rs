@@ -15,7 +15,6 @@ use blastema_core::{
     Contract, ContractIdentity, DeliveryError, GatherBuffer, MessageId, NodeName, ObjectAddress,
     ObjectName,
 };
-use std::future::Future;
 use std::marker::PhantomData;
 use std::pin::Pin;
 use std::sync::Arc;

@@ -35,7 +35,6 @@ use blastema_core::net::NodeId;
 use blastema_core::sorted::SortedMap;
 use blastema_core::{DeliveryError, Incarnation, ObjectAddress, ObjectName};
 use blastema_macros::{Request, Structure};
-use std::future::Future;
 use std::mem::replace;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;

@@ -16,7 +16,7 @@ use crate::registry::{ContractPort, MessageMetadata, ReplyTo, Skeleton};
 use blastema_core::contract::codec;
 use blastema_core::{Contract, DeliveryError, FaultKind, MessageId};
 use bytes::Bytes;
-use std::future::{self, Future};
+use std::future;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;

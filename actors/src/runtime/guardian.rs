@@ -13,7 +13,6 @@ use actix::prelude::*;
 use blastema_contract::reports::{Alive, ExitReason, Exited};
 use blastema_core::{Incarnation, Lifecycle, ObjectName, SlidingWindow};
 use std::cell::Cell;
-use std::future::Future;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::pin::Pin;
 use std::sync::{Arc, OnceLock};

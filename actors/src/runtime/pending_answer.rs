@@ -2,7 +2,6 @@
 
 use actix::dev::{MessageResponse, OneshotSender};
 use actix::{Actor, Message};
-use std::future::Future;
 use std::pin::Pin;
 
 /// The answer to a message, once its future completes.

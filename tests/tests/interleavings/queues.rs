@@ -4,7 +4,6 @@ use crate::messaging::queue::{BoundedQueue, Popped, WhenFull};
 use crate::{Bell, Model, bell};
 use blastema_core::{DeliveryError, Incarnation};
 use loom::thread;
-use std::future::Future;
 use std::pin::pin;
 use std::sync::Arc;
 use std::task::{Context, Waker};

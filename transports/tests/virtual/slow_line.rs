@@ -19,7 +19,6 @@ use blastema_transports::{FrameMedium, FrameTransport, SerialConfig, SerialLine}
 use bytes::Bytes;
 use std::cell::RefCell;
 use std::collections::VecDeque;
-use std::future::Future;
 use std::io;
 use std::pin::Pin;
 use std::sync::{Arc, Mutex};

@@ -8,7 +8,6 @@ use crate::host::lifecycle::Hook;
 use crate::liveness::activity::ActivitySlot;
 use crate::liveness::label;
 use std::any::TypeId;
-use std::future::Future;
 use std::pin::Pin;
 use std::rc::Rc;
 

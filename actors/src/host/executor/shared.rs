@@ -6,7 +6,6 @@ use crate::component::cell::ComponentCell;
 use blastema_core::sorted::SortedMap;
 use std::any::Any;
 use std::cell::RefCell;
-use std::future::Future;
 use std::pin::Pin;
 use std::rc::{Rc, Weak};
 use std::sync::Arc;

@@ -5,7 +5,6 @@ use crate::registry::remote::{OutgoingRequest, RemoteStub, StubFactory};
 use crate::{DeliveryError, Event};
 use blastema_core::contract::codec;
 use blastema_core::{Blob, ContractIdentity, GatherBuffer, NodeName, ObjectAddress};
-use std::future::Future;
 use std::pin::Pin;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::Relaxed;

@@ -6,7 +6,6 @@ use blastema_contract::transport::{
 };
 use blastema_doubles::{PATIENCE, Probe, now};
 use bytes::Bytes;
-use std::future::Future;
 
 pub(crate) struct End {
     pub(crate) transport: Transport,

@@ -9,7 +9,6 @@ use blastema_transports::{
     SerialLine, SlcanBus, SlcanConfig, Tcp, TcpConfig, Udp, UdpConfig, Unix, UnixConfig,
 };
 use std::cell::Cell;
-use std::future::Future;
 use std::io::Write;
 use std::net::{SocketAddr, TcpStream, UdpSocket};
 use std::os::unix::net::UnixStream;

@@ -17,7 +17,6 @@ use blastema_doubles::{PATIENCE, Probe, Turn, turn, turn_if_long};
 use bytes::Bytes;
 use media::*;
 use std::cell::Cell;
-use std::future::Future;
 use std::ops::Deref;
 use std::pin::Pin;
 use std::rc::Rc;
