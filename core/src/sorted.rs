@@ -155,12 +155,6 @@ impl<K, V> SortedMap<K, V> {
         self.chunks.first()?.first().map(|(key, value)| (key, value))
     }
 
-    /// The entry with the highest key.
-    #[must_use]
-    pub fn last_key_value(&self) -> Option<(&K, &V)> {
-        self.chunks.last()?.last().map(|(key, value)| (key, value))
-    }
-
     /// Removes the entry with the lowest key.
     pub fn pop_first(&mut self) -> Option<(K, V)> {
         (self.len > 0).then(|| self.remove_at((0, 0)))

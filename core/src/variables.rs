@@ -8,7 +8,7 @@
 //! node, so that "has it changed since?" has an answer whatever happened in between.
 
 use crate::sorted::SortedMap;
-use crate::{DeliveryError, Instant, ObjectName};
+use crate::{Blob, DeliveryError, Instant, ObjectName};
 use bytes::Bytes;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -50,8 +50,8 @@ pub enum ValueState {
 /// A variable as it stands; of a write, its revision only.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ValueReport {
-    /// The encoded value.
-    pub value: Vec<u8>,
+    /// The encoded value. All reports of one change share its bytes.
+    pub value: Blob,
     /// The number of the change that gave the value; rises.
     pub revision: u64,
     /// How far it can be relied on.
@@ -319,7 +319,7 @@ impl<F> Entry<F> {
 
     fn report(&self, now: Instant) -> ValueReport {
         ValueReport {
-            value: self.value.to_vec(),
+            value: self.value.clone().into(),
             revision: self.revision,
             state: self.state,
             age: now - self.since,

@@ -162,7 +162,7 @@ impl DirectoryActor {
         warn!(%name, "a claim is refused: {refused}");
         if let Some(own) = self.own.get(name).filter(|own| own.unattended) {
             let object = own.wanted.object.clone();
-            self.without.handle_refused((name.clone(), own.number), object, &refused);
+            self.without.handle_refused(name.clone(), own.number, object, &refused);
             self.say_who_goes_without();
         }
         let is_forbidden = matches!(refused, ClaimRefused::Forbidden { .. });
@@ -352,8 +352,8 @@ impl Handler<ClaimCommand> for DirectoryActor {
                             .map_or(0, |held| held.epoch);
                         let held = NameHeld { name, holder, epoch };
                         if unattended {
-                            let claim = (held.name.clone(), number);
-                            self.without.handle_doubled(claim, wanted.object, &other);
+                            let (name, object) = (held.name.clone(), wanted.object);
+                            self.without.handle_doubled(name, number, object, &other);
                             self.say_who_goes_without();
                         }
                         state_sender.send_replace(ClaimState::Refused(held.into()));

@@ -93,7 +93,8 @@ impl ObjectGateway {
         environment: &NetEnvironment,
         stubs: Arc<PeerStubs>,
         deaths: DeathWatchService,
-        (faults, stack): (FaultReporter, Recipient<LocalInput>),
+        faults: FaultReporter,
+        stack: Recipient<LocalInput>,
     ) -> Self {
         let NetEnvironment { registry, topics, dead_letters, .. } = environment.clone();
         let nodes = environment.reports.nodes.clone();
@@ -175,7 +176,7 @@ impl ObjectGateway {
             PeerProtocolOutput::Send { peer, stream, strand, message, credit } => {
                 let sent = match self.exchange.peers.present(peer) {
                     Some(session) => {
-                        session.handle_send_along((stream, strand), message, credit, now)
+                        session.handle_send_along(stream, strand, message, credit, now)
                     }
                     None => Err((self.exchange.peers.unreachable(peer), message.into_bytes())),
                 };
@@ -199,7 +200,7 @@ impl ObjectGateway {
                     call.map(|call| reply_to(peer, epoch, call, self.wiring.stack.clone()));
                 let metadata =
                     MessageMetadata { id, age, is_first: false, until, from: Some(peer) };
-                self.serve((peer, binding), &payload, metadata, reply_to);
+                self.serve(peer, binding, &payload, metadata, reply_to);
             }
             PeerProtocolOutput::Resolve { reply_as, result } => {
                 if let Some((_, reply_to)) = self.replies.remove(&reply_as) {
@@ -222,7 +223,7 @@ impl ObjectGateway {
             PeerProtocolOutput::AccessDenied { denied } => {
                 self.wiring.registry.access().record(*denied);
             }
-            PeerProtocolOutput::SubscriptionForbidden { why, .. } => {
+            PeerProtocolOutput::SubscriptionForbidden { why } => {
                 self.forbidden.refused(&why, &self.wiring.faults);
             }
             PeerProtocolOutput::Unsubscribe { peer, subscription } => {
@@ -421,7 +422,7 @@ impl ObjectGateway {
         info!(%node, %incarnation, "session open");
         // Before the peer learns that it is connected.
         self.wiring.deaths.handle_opening(peer);
-        if self.exchange.handle_opened(peer, (incarnation, session), platform::now()) {
+        if self.exchange.handle_opened(peer, incarnation, session, platform::now()) {
             self.forget_differences();
         }
         self.with_send_state(peer, PeerSendState::begin);
@@ -500,11 +501,13 @@ impl ObjectGateway {
     /// Isolates a node, or admits it again. Says whether that is a change. What is under way with
     /// an isolated node is resolved, and what it has here goes.
     pub(super) fn handle_isolation(&mut self, node: &NodeName, isolated: bool) -> bool {
-        let peer = self.meet(node);
-        let Some(known) = self.exchange.peers.get_mut(peer) else { return false };
-        if std::mem::replace(&mut known.isolated, isolated) == isolated {
+        let known = self.exchange.peers.get(NodeId::of(node));
+        if known.is_some_and(|known| known.isolated) == isolated {
             return false;
         }
+        let peer = self.meet(node);
+        let Some(known) = self.exchange.peers.get_mut(peer) else { return false };
+        known.isolated = isolated;
         if !isolated {
             // What it sent meanwhile was not read: only a new session makes both agree again.
             known.session.handle_restart(platform::now());
@@ -549,7 +552,8 @@ impl ObjectGateway {
                 let known = self.forwards.get(&(peer, subscription));
                 match known.filter(|known| Arc::ptr_eq(&known.losses, &losses)) {
                     Some(known) => {
-                        self.exchange.handle_event(peer, known.by, event, sent, Some(credit))
+                        let (number, stream) = known.by;
+                        self.exchange.handle_event(peer, number, stream, event, sent, Some(credit))
                     }
                     None => _ = losses.take_late(),
                 }
@@ -575,8 +579,8 @@ impl ObjectGateway {
         self.forbidden.look(&access, is_refused, &self.wiring.faults);
         self.look_at_losses();
         self.look_at_topics();
-        let told = (&self.wiring.faults, self.wiring.nodes.as_ref());
-        self.sessions.look_at_refusals(&mut self.exchange.peers, told);
+        let GatewaySetup { faults, nodes, .. } = &self.wiring;
+        self.sessions.look_at_refusals(&mut self.exchange.peers, faults, nodes.as_ref());
         self.sessions.look_at_rates(&self.exchange.peers);
     }
 

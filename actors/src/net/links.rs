@@ -124,8 +124,8 @@ impl LinksActor {
         discovery: Option<(DiscoverySpec, Vec<LinkId>)>,
     ) -> Self {
         let keys = wiring.seal.as_ref().map(|(keys, _)| &**keys);
-        let discovery =
-            discovery.map(|spec| NetworkDiscovery::new(wiring.node.clone(), spec, keys));
+        let discovery = discovery
+            .map(|(spec, numbers)| NetworkDiscovery::new(wiring.node.clone(), spec, numbers, keys));
         let mut links = LinksActor {
             wiring,
             specs,
@@ -390,7 +390,7 @@ impl MachineActor for LinksActor {
                 }
             }
             LinkLayerOutput::KeyInUse { link, open, refused, at, address } => {
-                self.key_in_use(link, (open, refused), [&at, &address].map(MediumAddress::peer));
+                self.key_in_use(link, open, refused, [&at, &address].map(MediumAddress::peer));
             }
         }
     }

@@ -217,8 +217,8 @@ pub(crate) fn start(environment: NetEnvironment, networks: Vec<NetworkSpec>) -> 
     let keys = environment.keys.clone();
     let stubs = Arc::new(stub::PeerStubs::new());
     let deaths = remote_watch::serve(&environment.registry);
-    let parts = (stubs.clone(), deaths.clone(), own_name.clone());
-    let make = stack::NetworkStack::maker(&environment, parts);
+    let (for_stack, watches) = (stubs.clone(), deaths.clone());
+    let make = stack::NetworkStack::maker(&environment, for_stack, watches, own_name.clone());
     let stack = guardian.start(named("stack"), on_arbiter, make);
     stubs.connect(stack.clone().recipient());
     if let Some(directory) = &environment.directory {
@@ -277,7 +277,7 @@ pub(crate) fn start(environment: NetEnvironment, networks: Vec<NetworkSpec>) -> 
         // Who is not missed any more is known before the links go down.
         let told = [stack.clone().recipient()].into_iter().chain(links).collect();
         let faults = environment.own_faults("roster");
-        let watch = RosterWatch::start((keys, faults), stack.clone().recipient(), told);
+        let watch = RosterWatch::start(keys, faults, stack.clone().recipient(), told);
         let watch = Arc::new(watch);
         stack.do_send(stack::AttachRosterWatch(Arc::downgrade(&watch)));
         watch

@@ -167,7 +167,9 @@ pub(crate) async fn key_status(
 pub(crate) async fn order_isolation(
     registry: &Registry,
     to: &str,
-    (node, isolated, reason): (&str, bool, &str),
+    node: &str,
+    isolated: bool,
+    reason: &str,
     within: Duration,
 ) -> Result<(), OrderError> {
     let order = OrderIsolation { node: node.to_owned(), isolated, reason: reason.to_owned() };

@@ -46,7 +46,8 @@ pub(crate) struct RosterWatch(SyncSender<RosterOffer>);
 impl RosterWatch {
     /// Tells these of each newer roster, and the first, which tells other nodes, before all others.
     pub(super) fn start(
-        (keys, faults): (Arc<NodeKeys>, FaultReporter),
+        keys: Arc<NodeKeys>,
+        faults: FaultReporter,
         announce: Recipient<RosterFound>,
         told: Vec<Recipient<RosterChanged>>,
     ) -> RosterWatch {

@@ -40,8 +40,10 @@ pub(super) struct NodeRouter {
 
 impl NodeRouter {
     pub(super) fn new(
-        (node, incarnation): (NodeName, Incarnation),
-        (monitor, own_name): (Option<Recipient<NodeReported>>, OwnName),
+        node: NodeName,
+        incarnation: Incarnation,
+        monitor: Option<Recipient<NodeReported>>,
+        own_name: OwnName,
         faults: FaultReporter,
         keys: Option<Arc<NodeKeys>>,
     ) -> Self {

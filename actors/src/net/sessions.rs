@@ -29,7 +29,8 @@ impl SessionWatch {
     pub(super) fn look_at_refusals(
         &mut self,
         peers: &mut Peers,
-        (faults, nodes): (&FaultReporter, Option<&Recipient<NodeReported>>),
+        faults: &FaultReporter,
+        nodes: Option<&Recipient<NodeReported>>,
     ) {
         // Says whether the peer is to blame.
         let mut look = |peer, refusals, name: &str, relayed: bool| {

@@ -133,16 +133,17 @@ impl Machine for Floors {
 impl NetworkStack {
     pub(super) fn maker(
         environment: &NetEnvironment,
-        (stubs, deaths, own_name): (Arc<PeerStubs>, DeathWatchService, OwnName),
+        stubs: Arc<PeerStubs>,
+        deaths: DeathWatchService,
+        own_name: OwnName,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
         let environment = environment.clone();
         move |context| {
             let faults = environment.own_faults("stack");
-            let told = (faults.clone(), context.address().recipient());
-            let gateway = ObjectGateway::new(&environment, stubs, deaths, told);
+            let stack = context.address().recipient();
+            let gateway = ObjectGateway::new(&environment, stubs, deaths, faults.clone(), stack);
             let NetEnvironment { node, incarnation, reports, keys, .. } = environment;
-            let router =
-                NodeRouter::new((node, incarnation), (reports.nodes, own_name), faults, keys);
+            let router = NodeRouter::new(node, incarnation, reports.nodes, own_name, faults, keys);
             let floors = Floors { gateway, router, in_router: false, held: None };
             NetworkStack { floors, wake: WakeTimer::default() }
         }

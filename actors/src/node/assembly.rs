@@ -174,7 +174,7 @@ fn check(mut builder: NodeBuilder, refused: &mut Vec<StartError>) -> Result<(), 
     refused.extend(builder.check_networks(&node).err().into_iter().flatten());
     // The chain is made for the names of its objects alone.
     builder.process.placement = ActorPlacement::Here;
-    let assembly = NodeAssembly::begin(&mut builder, (node, Incarnation::FIRST))?;
+    let assembly = NodeAssembly::begin(&mut builder, node, Incarnation::FIRST)?;
     assembly.read_parameters(builder.files.parameters)?;
     let policies = &builder.faults.policies;
     // Its actuators are there as long as it is.
@@ -199,7 +199,7 @@ async fn start(
         scheduling::lock_memory()?;
     }
     let incarnation = builder.networks.begin_incarnation();
-    let mut assembly = NodeAssembly::begin(&mut builder, (node, incarnation))?;
+    let mut assembly = NodeAssembly::begin(&mut builder, node, incarnation)?;
     #[cfg(feature = "journal")]
     assembly.keep_journal(builder.files.journal).await?;
     assembly.keep_variables(builder.files.variables).await?;
@@ -265,13 +265,14 @@ impl NodeAssembly {
     /// The fault chain, and the threads that components will live on.
     fn begin(
         builder: &mut NodeBuilder,
-        (node, incarnation): (NodeName, Incarnation),
+        node: NodeName,
+        incarnation: Incarnation,
     ) -> Result<Self, StartError> {
         let arbiters = match builder.process.placement {
             ActorPlacement::Threads { shared } => ArbiterPool::pool(shared),
             ActorPlacement::ComponentsHere | ActorPlacement::Here => ArbiterPool::here(),
         };
-        let (chain, registry, actuators) = make_chain(builder, (&node, incarnation), &arbiters)?;
+        let (chain, registry, actuators) = make_chain(builder, &node, incarnation, &arbiters)?;
         for listener in builder.faults.listeners.drain(..) {
             listener.listen(&chain.monitor);
         }
@@ -428,7 +429,7 @@ impl NodeAssembly {
         let Shared { name, incarnation, environment, chain, policies: kept, .. } = &mut self.node;
         for policy in policies {
             let arbiter = chain.arbiter.as_ref();
-            kept.push(policy.start((name, *incarnation), environment, arbiter)?);
+            kept.push(policy.start(name, *incarnation, environment, arbiter)?);
         }
         Ok(())
     }

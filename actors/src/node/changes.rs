@@ -31,7 +31,6 @@ use blastema_core::recovery::{GiveUpReason, Plan};
 use blastema_core::{Incarnation, ObjectName};
 use std::sync::Mutex;
 use std::time::Duration;
-use tokio::sync::oneshot;
 
 /// Between two attempts at a supervisor that was restarted, or is full of requests.
 const RETRY_INTERVAL: Duration = Duration::from_millis(10);
@@ -159,9 +158,8 @@ impl Node {
             names
         };
         let node = self.clone();
-        self.to_the_end(async move { node.carry_out_removal(object, &supervisor, names).await })
-            .await
-            .unwrap_or(Err(RemoveError::ShutDown))
+        let removal = async move { node.carry_out_removal(object, &supervisor, names).await };
+        ToTheEnd::of(self.0.chain.arbiter.clone(), removal).await
     }
 
     /// Restarts a node from the safe state within its process: all components start their next
@@ -281,7 +279,7 @@ impl Node {
         let node = self.clone();
         let added =
             async move { node.carry_out_addition(parent, &supervisor, addition, tree).await };
-        self.to_the_end(added).await.expect("it ends with an answer")
+        ToTheEnd::of(self.0.chain.arbiter.clone(), added).await
     }
 
     async fn carry_out_addition(
@@ -327,18 +325,6 @@ impl Node {
         let components = tree.components.iter().map(|facts| (&facts.name, &*facts.depends_on));
         dependencies.add(supervisors.chain(components))?;
         Ok(true)
-    }
-
-    /// Does the work, also if the returned future is dropped meanwhile; `None` where its place has
-    /// ended.
-    async fn to_the_end<T: Send + 'static>(
-        &self,
-        work: impl Future<Output = T> + Send + 'static,
-    ) -> Option<T> {
-        let (answer, outcome) = oneshot::channel();
-        let work = async move { drop(answer.send(work.await)) };
-        ToTheEnd::of(self.0.chain.arbiter.clone(), work).await;
-        outcome.await.ok()
     }
 }
 

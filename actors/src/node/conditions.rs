@@ -31,7 +31,8 @@ pub(super) async fn keep_while<C: Component, S>(
     node: NodeSlot,
     mut status: watch::Receiver<S>,
     holds: impl Fn(&S) -> bool,
-    (mut running, spec): (Option<String>, impl Fn() -> ChildSpec<C>),
+    mut running: Option<String>,
+    spec: impl Fn() -> ChildSpec<C>,
 ) {
     loop {
         let wanted = holds(&status.borrow_and_update());

@@ -449,7 +449,7 @@ impl Node {
         let (node, status) =
             (Arc::new(OnceLock::from(Arc::downgrade(&self.0))), condition.status.clone());
         let holds = |status: &ConditionStatus| status.state == ConditionState::Connected;
-        actix_rt::spawn(keep_while(node, status, holds, (Some(name), spec)));
+        actix_rt::spawn(keep_while(node, status, holds, Some(name), spec));
         Ok(())
     }
 

@@ -18,7 +18,7 @@ use blastema_core::variables::{
     PersistedValue, RestorePolicy, ValueReport, ValueState, ValueWrite, VariableDeclaration,
     VariableKey, Variables,
 };
-use blastema_core::{ContractIdentity, DeliveryError, ObjectName, PeerIdentity, Variable};
+use blastema_core::{Blob, ContractIdentity, DeliveryError, ObjectName, PeerIdentity, Variable};
 use bytes::Bytes;
 use std::io;
 use std::path::PathBuf;
@@ -307,7 +307,7 @@ impl VariableStore {
             }
         };
         let (state, age) = (ValueState::Current, Duration::ZERO);
-        let report = ValueReport { value: Vec::new(), revision, state, age };
+        let report = ValueReport { value: Blob::default(), revision, state, age };
         let done: WriteDone = Box::new(move |kept| match kept {
             Ok(()) => reply.give(Ok(report)),
             Err(reason) => reply.refuse(DeliveryError::NotKept { reason }, None),

@@ -1,6 +1,5 @@
 //! Tests on real threads, whose clock is the computer's.
 
-
 /// Runs a test in an actix system of its own, while it has the [`turn`](fn@crate::turn).
 ///
 /// # Panics

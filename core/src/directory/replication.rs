@@ -26,7 +26,7 @@ impl Directory {
         };
         match message {
             DirectoryMessage::All { first, last, records } => {
-                self.hear_all(from, (first, last), records, now)
+                self.hear_all(from, first, last, records, now)
             }
             DirectoryMessage::Changed { records, gone } => {
                 gone.iter().for_each(|key| self.unhear(from, key, now));
@@ -40,7 +40,8 @@ impl Directory {
     fn hear_all(
         &mut self,
         from: &NodeName,
-        (first, last): (bool, bool),
+        first: bool,
+        last: bool,
         records: Vec<DirectoryRecord>,
         now: Instant,
     ) {

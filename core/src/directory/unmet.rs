@@ -27,7 +27,8 @@ impl UnmetClaims {
     /// A claim of this component's was refused.
     pub fn handle_refused(
         &mut self,
-        (name, number): (ObjectName, u64),
+        name: ObjectName,
+        number: u64,
         object: ObjectName,
         refused: &ClaimRefused,
     ) {
@@ -38,7 +39,8 @@ impl UnmetClaims {
     /// Another component of this node claims the name already.
     pub fn handle_doubled(
         &mut self,
-        (name, number): (ObjectName, u64),
+        name: ObjectName,
+        number: u64,
         object: ObjectName,
         other: &ObjectName,
     ) {
@@ -100,8 +102,8 @@ mod tests {
     fn all_are_named_who_go_without_and_no_others() {
         let mut without = UnmetClaims::default();
         assert_eq!(without.text(), None);
-        without.handle_refused((object("map"), 1), object("one"), &held("a"));
-        without.handle_doubled((object("map"), 2), object("two"), &object("one"));
+        without.handle_refused(object("map"), 1, object("one"), &held("a"));
+        without.handle_doubled(object("map"), 2, object("two"), &object("one"));
         let text = without.text().unwrap();
         assert!(text.starts_with("one goes without the name map: map is claimed by a, "), "{text}");
         assert!(text.contains("; two goes without the name map: one of this node"), "{text}");
@@ -116,9 +118,10 @@ mod tests {
     #[test]
     fn it_is_said_who_holds_the_name_now() {
         let mut without = UnmetClaims::default();
-        without.handle_refused((object("map"), 1), object("one"), &held("a"));
+        without.handle_refused(object("map"), 1, object("one"), &held("a"));
         without.handle_refused(
-            (object("map"), 2),
+            object("map"),
+            2,
             object("two"),
             &ClaimRefused::TooMany { limit: 1 },
         );
@@ -140,8 +143,7 @@ mod tests {
     #[test]
     fn of_many_the_first_are_named() {
         let mut without = UnmetClaims::default();
-        (0..100)
-            .for_each(|n| without.handle_refused((object("map"), n), object("one"), &held("a")));
+        (0..100).for_each(|n| without.handle_refused(object("map"), n, object("one"), &held("a")));
         assert!(without.text().unwrap().ends_with("; and 92 more"));
     }
 }

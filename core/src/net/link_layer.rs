@@ -207,7 +207,8 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
         &mut self,
         number: LinkId,
         mut link: Link,
-        (peer, address): (NodeId, A),
+        peer: NodeId,
+        address: A,
         now: Instant,
     ) -> bool {
         let channel = self.sealer.as_ref().and_then(|sealer| sealer.channel(peer));
@@ -523,7 +524,7 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
                     }
                 }
                 SealerOutput::KeyInUse { peer, address, open, refused } => {
-                    self.refuse_other((peer, address), (open, refused), now);
+                    self.refuse_other(peer, address, open, refused, now);
                 }
                 SealerOutput::KeyWornOut { peer } => {
                     let Some(link) = self.by_peer.get(&peer).copied() else { continue };
@@ -540,8 +541,10 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
     /// one. If no answer comes within the detection time, the other node is the neighbour.
     fn refuse_other(
         &mut self,
-        (peer, address): (NodeId, A),
-        (open, refused): (Incarnation, Incarnation),
+        peer: NodeId,
+        address: A,
+        open: Incarnation,
+        refused: Incarnation,
         now: Instant,
     ) {
         let Some(link) = self.by_peer.get(&peer).copied() else { return };

@@ -223,7 +223,7 @@ impl Replica {
             // The request was delayed, and its caller has a reply by another path.
             return self.answer(caller, ServiceOutcome::Refused(DeliveryError::Expired));
         }
-        let served = self.log.table.find(id).is_some();
+        let served = self.log.table.find(id).cloned();
         let primary = match &mut self.role {
             RoleState::Standby(standby) => {
                 let elsewhere = ServiceOutcome::Elsewhere(standby.primary.clone());
@@ -236,15 +236,23 @@ impl Replica {
             let before = std::mem::replace(waiting, caller);
             return self.answer(before, ServiceOutcome::Elsewhere(None));
         }
-        if served {
-            primary.hold_repeat(id, caller, now);
-            self.release(now);
-        } else if primary.waiting.len() >= QUEUE_MAX {
-            self.answer(caller, ServiceOutcome::Refused(DeliveryError::Full));
-        } else {
-            primary.waiting.insert(id, caller);
-            self.component.jobs.push_back(Job::Serve { id, settled, until, request });
-            self.start_next_job();
+        match served {
+            // No other replica keeps what a cold service has served.
+            Some(served) if self.config.kind == StandbyKind::Cold => {
+                self.answer(caller, ServiceOutcome::Served(served.result));
+            }
+            Some(_) => {
+                primary.hold_repeat(id, caller, now);
+                self.release(now);
+            }
+            None if primary.waiting.len() >= QUEUE_MAX => {
+                self.answer(caller, ServiceOutcome::Refused(DeliveryError::Full));
+            }
+            None => {
+                primary.waiting.insert(id, caller);
+                self.component.jobs.push_back(Job::Serve { id, settled, until, request });
+                self.start_next_job();
+            }
         }
     }
 

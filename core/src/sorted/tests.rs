@@ -38,7 +38,6 @@ fn agree(map: &mut SortedMap<u64, u64>, model: &mut BTreeMap<u64, u64>, one: u64
     assert!(map.values().eq(model.values()) && map.keys().rev().eq(model.keys().rev()));
     assert!(map.clone().into_iter().eq(model.clone()));
     assert!(map.first_key_value() == model.first_key_value());
-    assert!(map.last_key_value() == model.last_key_value());
     let (low, high) = (one.min(other), one.max(other));
     assert!(map.range(low..high).eq(model.range(low..high)));
     assert!(map.range(low..=high).rev().eq(model.range(low..=high).rev()));

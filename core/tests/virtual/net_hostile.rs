@@ -327,7 +327,7 @@ proptest! {
     #[test]
     fn no_messages_panic_an_exchange(messages in vec(hostile(), 0..30)) {
         let (mut exchange, peer) = exchange();
-        exchange.handle_opened(peer, (Incarnation(1), 1), Instant::ORIGIN);
+        exchange.handle_opened(peer, Incarnation(1), 1, Instant::ORIGIN);
         for message in messages {
             exchange.handle_message(peer, message, Instant::ORIGIN);
             while let Some(output) = exchange.poll_output() {
@@ -346,7 +346,7 @@ proptest! {
     ) {
         let (mut exchange, peer) = exchange();
         exchange.handle_interest(news(), vec![ContractIdentity::of::<Note>()]);
-        exchange.handle_opened(peer, (Incarnation(1), 1), Instant::ORIGIN);
+        exchange.handle_opened(peer, Incarnation(1), 1, Instant::ORIGIN);
         let mut bound = BTreeSet::new();
         for (n, message) in messages.into_iter().enumerate() {
             // At once, or while the session goes on.
@@ -438,9 +438,9 @@ fn an_acknowledgement_of_what_was_never_sent_is_refused_and_an_absurd_window_bou
     };
     session.handle_segment(greedy.encode(), Instant::ORIGIN);
     for _ in 0..8000 {
-        let (along, bytes) =
-            ((TrafficClass::Request, OrderingKey::default()), Bytes::from_static(&[0; 1000]));
-        let _ = session.handle_send_along(along, bytes, None, Instant::ORIGIN);
+        let (key, bytes) = (OrderingKey::default(), Bytes::from_static(&[0; 1000]));
+        let stream = TrafficClass::Request;
+        let _ = session.handle_send_along(stream, key, bytes, None, Instant::ORIGIN);
     }
     // No more than the congestion window is on its way.
     assert!(drain(&mut session).len() <= 64);

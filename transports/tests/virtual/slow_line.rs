@@ -145,8 +145,8 @@ impl End {
     }
 
     fn say(&self, stream: TrafficClass, message: Bytes) {
-        let along = (stream, OrderingKey::default());
-        self.session.borrow_mut().handle_send_along(along, message, None, now()).unwrap();
+        let key = OrderingKey::default();
+        self.session.borrow_mut().handle_send_along(stream, key, message, None, now()).unwrap();
         self.carry_on();
     }
 

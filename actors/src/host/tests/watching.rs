@@ -204,8 +204,8 @@ async fn three_hundred_incarnations_that_watch_listen_and_publish_leave_nothing_
     let (mut child, widow) = stage.start(spec).await;
     settle().await;
     let before = (watchers(&arm), watchers(&widow), Arc::strong_count(&widow.0));
-    // Its variables' store watches the widow too.
-    assert_eq!((before.0, before.1), (1, 2));
+    // Its variables' store hears of the widow's end with no watch of its own.
+    assert_eq!((before.0, before.1), (1, 1));
     assert_eq!(stage.environment.feature::<VariableStore>().watchers(), 1);
 
     for incarnation in 1..=300 {

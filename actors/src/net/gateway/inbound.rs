@@ -96,7 +96,8 @@ impl ObjectGateway {
 
     pub(super) fn serve(
         &mut self,
-        (peer, binding): (NodeId, u32),
+        peer: NodeId,
+        binding: u32,
         payload: &Bytes,
         metadata: MessageMetadata,
         reply_to: Option<ReplyTo>,
@@ -114,12 +115,12 @@ impl ObjectGateway {
             && bound.skeleton.space().is_some();
         match reply_to {
             Some(reply_to) if behind => reply_to(Err(DeliveryError::Full)),
-            None if behind => self.hold((peer, binding), (payload, metadata), &DeliveryError::Full),
+            None if behind => self.hold(peer, binding, payload, metadata, &DeliveryError::Full),
             reply_to => {
                 let is_tell = reply_to.is_none();
                 match bound.skeleton.deliver(payload, metadata, reply_to) {
                     Err(why @ (DeliveryError::Full | DeliveryError::Restarting)) if is_tell => {
-                        self.hold((peer, binding), (payload, metadata), &why);
+                        self.hold(peer, binding, payload, metadata, &why);
                     }
                     // The object's own dead letters tell of what it did not take.
                     Err(DeliveryError::Undecodable { .. }) => self.breaks_its_word(peer),
@@ -132,8 +133,10 @@ impl ObjectGateway {
     /// The receiver has no room for this, for that reason: it waits, if it is to.
     fn hold(
         &mut self,
-        (peer, binding): (NodeId, u32),
-        (payload, metadata): (&Bytes, MessageMetadata),
+        peer: NodeId,
+        binding: u32,
+        payload: &Bytes,
+        metadata: MessageMetadata,
         why: &DeliveryError,
     ) {
         let Some(bound) = self.skeletons.get(&(peer, binding)).cloned() else { return };
@@ -145,7 +148,7 @@ impl ObjectGateway {
         let payload = Bytes::copy_from_slice(payload);
         let bytes = payload.len();
         let held = Held { binding, payload, metadata, arrived: platform::now() };
-        match self.queues.backlog.handle_full(peer, &object, binding, (held, bytes)) {
+        match self.queues.backlog.handle_full(peer, &object, binding, held, bytes) {
             BacklogVerdict::First => {
                 debug!(%peer, %object, "full: the peer is told to stop");
                 self.exchange.handle_full(peer, binding);

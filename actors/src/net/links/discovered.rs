@@ -62,7 +62,8 @@ pub(super) struct NetworkDiscovery {
 impl NetworkDiscovery {
     pub(super) fn new(
         node: NodeName,
-        (spec, numbers): (DiscoverySpec, Vec<LinkId>),
+        spec: DiscoverySpec,
+        numbers: Vec<LinkId>,
         keys: Option<&NodeKeys>,
     ) -> Self {
         let machine = Discovery::new(DiscoveryConfig::new(node.clone(), spec.admission.clone()));
@@ -247,7 +248,7 @@ impl LinksActor {
         };
         let now = platform::now();
         let link = super::link(&self.wiring, &spec, now);
-        if self.bundle.insert_dialed_in(number, link, (peer, address.clone()), now) {
+        if self.bundle.insert_dialed_in(number, link, peer, address.clone(), now) {
             info!(network = %self.wiring.network, %node, %address, "an operator connects");
             self.specs.insert(number, spec);
         } else {

@@ -157,7 +157,8 @@ impl LinksActor {
     pub(super) fn key_in_use(
         &mut self,
         number: LinkId,
-        (open, refused): (Incarnation, Incarnation),
+        open: Incarnation,
+        refused: Incarnation,
         [at, address]: [&MediumAddress; 2],
     ) {
         if self.names.keys_in_use.insert(number, platform::now()).is_some() {

@@ -282,10 +282,10 @@ fn blurt(left: &Module, count: usize) {
     let peer = NodeId::of(&NodeName::new("right").unwrap());
     left.net.on_stack(move |stack| {
         for _ in 0..count {
-            let (place, message) =
-                ((TrafficClass::Request, OrderingKey::default()), message.clone());
+            let (stream, key) = (TrafficClass::Request, OrderingKey::default());
+            let (message, now) = (message.clone(), platform::now());
             let right = stack.floors.gateway.exchange.peers.get_mut(peer).unwrap();
-            right.session.handle_send_along(place, message, None, platform::now()).unwrap();
+            right.session.handle_send_along(stream, key, message, None, now).unwrap();
         }
     });
 }

@@ -164,7 +164,8 @@ impl FaultChain {
 /// Makes the fault chain; it has nothing to watch yet. Its strategies use the returned tables.
 pub(super) fn make_chain(
     builder: &NodeBuilder,
-    (node, incarnation): (&NodeName, Incarnation),
+    node: &NodeName,
+    incarnation: Incarnation,
     arbiters: &ArbiterPool,
 ) -> Result<(FaultChain, Registry, ActuatorTable), StartError> {
     let NodeBuilder { faults, process, .. } = builder;

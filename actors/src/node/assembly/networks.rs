@@ -2,7 +2,6 @@
 
 use super::chain::FaultChain;
 use super::{KeptObject, NodeAssembly, named};
-use crate::component::environment::ComponentEnvironment;
 use crate::component::spec_error::SpecError;
 use crate::directory::DirectoryTable;
 use crate::directory::actor::{DirectoryActor, DirectorySetup};
@@ -97,17 +96,15 @@ impl NodeAssembly {
         &mut self,
         description: &mut NetworkDescription,
     ) -> Result<(), StartError> {
-        let Shared { name, incarnation, chain, environment, .. } = &self.node;
-        let who = (name, *incarnation);
+        let chain = &self.node.chain;
         if description.networks.is_empty() {
-            let setup = directory_setup(who, chain, environment);
+            let setup = directory_setup(&self.node);
             let directory = DirectoryActor::start(setup, &chain.guardian, chain.arbiter.as_ref());
             return self.keep(named("net/directory"), Some(directory.pings));
         }
         let arbiter = self.placement.own_arbiter()?;
         let mut transports = Vec::new();
-        let place = (arbiter.clone(), &mut transports);
-        let made = make_networks(description, place, who, chain, environment);
+        let made = make_networks(description, arbiter.clone(), &mut transports, &self.node);
         let (networks, kept) = made.inspect_err(|_| {
             transports.iter().for_each(|transport| transport.do_send(Close));
             if let Some(arbiter) = &arbiter {
@@ -157,11 +154,11 @@ impl NodeAssembly {
 /// Starts transports, links and the stack above them, and connects them to the fault chain.
 fn make_networks(
     description: &mut NetworkDescription,
-    (arbiter, transports): (Option<ArbiterHandle>, &mut Vec<Recipient<Close>>),
-    (node, incarnation): (&NodeName, Incarnation),
-    chain: &FaultChain,
-    environment: &ComponentEnvironment,
+    arbiter: Option<ArbiterHandle>,
+    transports: &mut Vec<Recipient<Close>>,
+    node: &Shared,
 ) -> Result<(Networks, Vec<KeptObject>), StartError> {
+    let Shared { chain, environment, .. } = node;
     let FaultChain { guardian, monitor, .. } = chain;
     let may_be_away = description.may_be_away.iter().filter_map(|node| NodeName::new(node).ok());
     let may_be_away: BTreeSet<_> = may_be_away.collect();
@@ -202,8 +199,8 @@ fn make_networks(
         environment.registry.access().replace(keys.access_policy());
     }
     let net_environment = NetEnvironment {
-        node: node.clone(),
-        incarnation,
+        node: node.name.clone(),
+        incarnation: node.incarnation,
         guardian: guardian.clone(),
         arbiter: arbiter.clone(),
         registry: environment.registry.clone(),
@@ -223,7 +220,7 @@ fn make_networks(
         keys,
     };
     let slowest = specs.iter().flat_map(|spec| &spec.links).map(|link| link.hello_interval).max();
-    let setup = directory_setup((node, incarnation), chain, environment);
+    let setup = directory_setup(node);
     let setup = DirectorySetup {
         settle: settling(slowest.unwrap_or_default()),
         expected: neighbours.iter().cloned().collect(),
@@ -251,14 +248,11 @@ fn make_networks(
 }
 
 /// The setup of the directory for a node without a network.
-fn directory_setup(
-    (node, incarnation): (&NodeName, Incarnation),
-    chain: &FaultChain,
-    environment: &ComponentEnvironment,
-) -> DirectorySetup {
+fn directory_setup(node: &Shared) -> DirectorySetup {
+    let Shared { name, incarnation, chain, environment, .. } = node;
     DirectorySetup {
-        node: node.clone(),
-        incarnation,
+        node: name.clone(),
+        incarnation: *incarnation,
         settle: Duration::ZERO,
         expected: Vec::new(),
         network: Arc::default(),

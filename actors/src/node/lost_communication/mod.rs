@@ -196,7 +196,8 @@ impl LostCommunicationPolicy {
     /// or here.
     pub(super) fn start(
         self,
-        (node, incarnation): (&NodeName, Incarnation),
+        node: &NodeName,
+        incarnation: Incarnation,
         environment: &ComponentEnvironment,
         arbiter: Option<&ArbiterHandle>,
     ) -> Result<Arc<KeptPolicy>, StartError> {

@@ -296,7 +296,7 @@ impl Rung {
         let component = Some(spec().name().to_owned());
         let run: RunFn = Box::new(move |node, ladder, place| {
             let stands = move |rung: &Option<usize>| *rung == Some(place);
-            Box::pin(keep_while(node, ladder, stands, (None, spec)))
+            Box::pin(keep_while(node, ladder, stands, None, spec))
         });
         Rung { name: name.to_owned(), commands: Vec::new(), component, run: Some(run) }
     }

@@ -334,7 +334,7 @@ impl Node {
         within: Duration,
     ) -> Result<(), OrderError> {
         let registry = &self.0.environment.registry;
-        operator::order_isolation(registry, to, (node, true, reason), within).await
+        operator::order_isolation(registry, to, node, true, reason, within).await
     }
 
     /// Orders the node `to` to admit `node` again.
@@ -349,7 +349,7 @@ impl Node {
         within: Duration,
     ) -> Result<(), OrderError> {
         let registry = &self.0.environment.registry;
-        operator::order_isolation(registry, to, (node, false, reason), within).await
+        operator::order_isolation(registry, to, node, false, reason, within).await
     }
 
     /// Gives an order to another node, as its operator: by the right `operate`. A node without keys

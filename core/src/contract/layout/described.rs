@@ -3,8 +3,8 @@
 use super::{Described, Field, Fields, Layout, Primitive, Shape, Variant};
 use crate::variables::{ValueReport, ValueState};
 use crate::{
-    FaultId, FaultKind, FaultLocation, Incarnation, Lifecycle, NodeName, ObjectAddress, ObjectName,
-    Severity,
+    Blob, FaultId, FaultKind, FaultLocation, Incarnation, Lifecycle, NodeName, ObjectAddress,
+    ObjectName, Severity,
 };
 use std::any::TypeId;
 use std::borrow::Cow;
@@ -211,7 +211,7 @@ describe! { struct Incarnation(u64) }
 describe! { struct FaultId(u64) }
 describe! { enum ValueState { Current, Held, Undecided } }
 describe! {
-    struct ValueReport { value: Vec<u8>, revision: u64, state: ValueState, age: Duration }
+    struct ValueReport { value: Blob, revision: u64, state: ValueState, age: Duration }
 }
 describe! { enum Severity { Warning, Error, Critical } }
 describe! { enum Lifecycle { Created, Initialized, Active, Error, Fatal, Finalized } }

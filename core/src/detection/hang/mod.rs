@@ -345,7 +345,7 @@ impl HangDetector {
             }
             let component = watched.wake(looked.activity(slot), (now, missed));
             let around = Around { slot, arbiter: arbiters.get(&id), is_busy, missed };
-            component.handle(&around, looked, now, (outputs, &mut late, &mut silent));
+            component.handle(&around, looked, now, outputs, &mut late, &mut silent);
             watched.settle(now);
             awake.push(slot);
         }
@@ -434,11 +434,9 @@ impl ComponentRecord {
         around: &Around<'_>,
         looked: &impl Looked,
         now: Instant,
-        (outputs, late, silent): (
-            &mut VecDeque<LivenessEvent>,
-            &mut Vec<Late>,
-            &mut Vec<LivenessEvent>,
-        ),
+        outputs: &mut VecDeque<LivenessEvent>,
+        late: &mut Vec<Late>,
+        silent: &mut Vec<LivenessEvent>,
     ) {
         let reading = looked.activity(around.slot);
         let before = self.reading.replace(reading);

@@ -205,7 +205,7 @@ impl PeerProtocol {
         let session = self.peers.open_mut(peer);
         let is_own = self.interests.values().any(|own| own.subscription == subscription);
         if session.is_some_and(|session| is_own && session.forbidden.insert(subscription)) {
-            self.outputs.push_back(PeerProtocolOutput::SubscriptionForbidden { peer, why });
+            self.outputs.push_back(PeerProtocolOutput::SubscriptionForbidden { why });
         } else {
             self.refusals.unexpected += 1;
         }

@@ -186,7 +186,8 @@ impl PeerProtocol {
     pub fn handle_opened(
         &mut self,
         peer: NodeId,
-        (incarnation, number): (Incarnation, u32),
+        incarnation: Incarnation,
+        number: u32,
         now: Instant,
     ) -> bool {
         let Some(known) = self.peers.get_mut(peer) else { return false };
@@ -406,7 +407,8 @@ impl PeerProtocol {
     pub fn handle_event(
         &mut self,
         peer: NodeId,
-        (subscription, stream): (u32, Option<TrafficClass>),
+        subscription: u32,
+        stream: Option<TrafficClass>,
         payload: GatherBuffer,
         sent: Instant,
         credit: Option<Credit>,

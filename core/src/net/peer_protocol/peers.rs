@@ -1,7 +1,8 @@
 //! The table of peers: which other nodes there are, in which incarnation, by which path, and in
 //! which session with this node.
 //!
-//! All that the network's stack knows of a peer stands in the peer's row, and goes with it.
+//! What is known of a peer's name, path, session, isolation and losses stands in its row alone, and
+//! goes with it.
 
 use super::peer::{PeerRecord, PeerSession};
 use crate::machine_set::MachineSet;
@@ -171,9 +172,12 @@ impl Peer {
         &self.differences
     }
 
-    /// Whether nothing is lost when it is forgotten.
+    /// Whether nothing is lost when it is forgotten: no session is open, nothing is to be asked
+    /// again, and each loss has been reported.
     pub(super) fn is_expendable(&self) -> bool {
-        self.path.is_none() && !self.isolated && self.record.again.is_empty()
+        let is_idle = self.path.is_none() && self.record.session.is_none();
+        let is_settled = self.record.again.is_empty() && self.lost == self.lost_reported;
+        is_idle && is_settled && !self.isolated
     }
 }
 

@@ -82,7 +82,8 @@ impl<T> ReceiveBacklog<T> {
         peer: NodeId,
         object: &ObjectName,
         binding: u32,
-        (message, bytes): (T, usize),
+        message: T,
+        bytes: usize,
     ) -> BacklogVerdict<T> {
         let backlog = self.peers.entry(peer).or_default();
         if backlog.messages >= MESSAGES_MAX || backlog.bytes + bytes > BYTES_MAX {
@@ -153,7 +154,7 @@ mod tests {
 
     fn fill(backlog: &mut ReceiveBacklog<usize>, bytes: usize) -> usize {
         let arm = object("arm");
-        let mut admit = |n: &usize| backlog.handle_full(PEER, &arm, 7, (*n, bytes));
+        let mut admit = |n: &usize| backlog.handle_full(PEER, &arm, 7, *n, bytes);
         (0..100_000).take_while(|n| !matches!(admit(n), BacklogVerdict::Refused(_))).count()
     }
 
@@ -162,9 +163,9 @@ mod tests {
         let mut backlog = ReceiveBacklog::default();
         let (arm, leg) = (object("arm"), object("leg"));
 
-        assert_eq!(backlog.handle_full(PEER, &arm, 7, (1, 10)), BacklogVerdict::First);
-        assert_eq!(backlog.handle_full(PEER, &arm, 8, (2, 10)), BacklogVerdict::Behind);
-        assert_eq!(backlog.handle_full(OTHER, &arm, 7, (3, 10)), BacklogVerdict::First);
+        assert_eq!(backlog.handle_full(PEER, &arm, 7, 1, 10), BacklogVerdict::First);
+        assert_eq!(backlog.handle_full(PEER, &arm, 8, 2, 10), BacklogVerdict::Behind);
+        assert_eq!(backlog.handle_full(OTHER, &arm, 7, 3, 10), BacklogVerdict::First);
         assert!(backlog.is_waiting(PEER, &arm) && !backlog.is_waiting(PEER, &leg));
 
         assert_eq!(backlog.first(PEER, &arm), Some(&1));
@@ -174,7 +175,7 @@ mod tests {
         assert!(!backlog.is_waiting(PEER, &arm) && backlog.is_waiting(OTHER, &arm));
         assert_eq!(backlog.first(PEER, &arm), None);
         assert_eq!(backlog.handle_taken(PEER, &arm), None);
-        assert_eq!(backlog.handle_full(PEER, &arm, 8, (4, 10)), BacklogVerdict::First);
+        assert_eq!(backlog.handle_full(PEER, &arm, 8, 4, 10), BacklogVerdict::First);
     }
 
     #[test]
@@ -188,7 +189,7 @@ mod tests {
             let too_large = |(peer, refusals): (NodeId, Refusals)| (peer, refusals.too_large);
             assert_eq!(backlog.refusals().map(too_large).collect::<Vec<_>>(), [(PEER, 2)]);
             assert_eq!(
-                backlog.handle_full(OTHER, &object("arm"), 7, (0, bytes)),
+                backlog.handle_full(OTHER, &object("arm"), 7, 0, bytes),
                 BacklogVerdict::First
             );
             backlog.handle_taken(PEER, &object("arm"));
@@ -201,13 +202,13 @@ mod tests {
         let mut backlog = ReceiveBacklog::default();
         let (arm, leg) = (object("arm"), object("leg"));
         for (n, object) in [(1, &leg), (2, &arm), (3, &leg)] {
-            backlog.handle_full(PEER, object, 7, (n, 10));
+            backlog.handle_full(PEER, object, 7, n, 10);
         }
 
         let left: Vec<_> = backlog.handle_ended(PEER).collect();
 
         assert_eq!(left, [(arm, 2), (leg.clone(), 1), (leg.clone(), 3)]);
         assert_eq!(backlog.refusals().count(), 0);
-        assert_eq!(backlog.handle_full(PEER, &leg, 7, (4, 10)), BacklogVerdict::First);
+        assert_eq!(backlog.handle_full(PEER, &leg, 7, 4, 10), BacklogVerdict::First);
     }
 }

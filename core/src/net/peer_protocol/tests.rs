@@ -89,7 +89,7 @@ impl Pair {
     fn begin(&mut self, end: usize) {
         self.sessions += 1;
         let peer = self.ids[1 - end];
-        self.ends[end].handle_opened(peer, (Incarnation(1), self.sessions), at(0));
+        self.ends[end].handle_opened(peer, Incarnation(1), self.sessions, at(0));
     }
 
     fn open() -> Self {
@@ -386,7 +386,7 @@ fn an_interest_is_told_now_and_to_every_later_session() {
     };
     assert_eq!(*wanted, topic());
 
-    pair.ends[1].handle_event(*peer, (*subscription, EVENTS), payload().into(), at(0), None);
+    pair.ends[1].handle_event(*peer, *subscription, EVENTS, payload().into(), at(0), None);
     pair.run();
     let event = PeerProtocolOutput::Event {
         peer: NodeId::of(&node("right")),
@@ -404,7 +404,7 @@ fn an_interest_is_told_now_and_to_every_later_session() {
     pair.run();
     let (peer, subscription) = (*peer, *subscription);
     assert_eq!(pair.take(1), [PeerProtocolOutput::Unsubscribe { peer, subscription }]);
-    pair.ends[1].handle_event(peer, (subscription, EVENTS), payload().into(), at(0), None);
+    pair.ends[1].handle_event(peer, subscription, EVENTS, payload().into(), at(0), None);
     pair.run();
     assert_eq!(pair.take(0), []);
     assert_eq!(pair.ends[0].refusals().stale, 1);

@@ -201,9 +201,7 @@ pub enum PeerProtocolOutput {
     },
     /// A peer refuses a subscription of this node, by its policy.
     SubscriptionForbidden {
-        /// The node that refuses it.
-        peer: NodeId,
-        /// The reason that it gives.
+        /// The reason that the peer gives; it names the peer.
         why: DeliveryError,
     },
     /// Send no more of this.

@@ -233,7 +233,8 @@ impl Router {
     /// Seals what goes over a relay; `None` while there are no keys for it.
     pub(super) fn protect(
         &mut self,
-        (destination, next): (NodeId, LinkId),
+        destination: NodeId,
+        next: LinkId,
         class: PacketPriority,
         segment: GatherBuffer,
     ) -> Option<GatherBuffer> {

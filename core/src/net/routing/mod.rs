@@ -286,7 +286,7 @@ impl Router {
         let known = self.database.known.iter().filter(|(id, _)| !self.isolation.nodes.contains(id));
         let known = known.map(|(id, known)| (*id, &known.advertisement));
         let overhead = self.keys.as_ref().map_or(0, RouterKeys::overhead);
-        Topology::new((self.database.id(), overhead), links, known)
+        Topology::new(self.database.id(), overhead, links, known)
     }
 
     /// Computes the paths again and reports what has changed.
@@ -637,7 +637,7 @@ impl Router {
             return self.outputs.push_back(RouterOutput::Undelivered { destination, reason });
         };
         // Before there are keys it waits with the session, which repeats it.
-        let Some(segment) = self.protect((destination, link), class, segment) else { return };
+        let Some(segment) = self.protect(destination, link, class, segment) else { return };
         self.originate(link, destination, class, Payload::Segment(segment));
     }
 
@@ -666,7 +666,7 @@ impl Router {
             return self.handle_segment(destination, class, segment.clone());
         }
         for link in links {
-            if let Some(copy) = self.protect((destination, link), class, segment.clone()) {
+            if let Some(copy) = self.protect(destination, link, class, segment.clone()) {
                 self.originate(link, destination, class, Payload::Segment(copy));
             }
         }

@@ -161,7 +161,8 @@ struct Distance {
 
 impl<'a> Topology<'a> {
     pub(crate) fn new(
-        (here, overhead): (NodeId, usize),
+        here: NodeId,
+        overhead: usize,
         links: &'a SortedMap<LinkId, Adjacency>,
         known: impl Iterator<Item = (NodeId, &'a Advertisement)>,
     ) -> Self {

@@ -242,7 +242,8 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
             }
             return Err(OpenError::Repeated);
         }
-        self.admit(init, frame.mac1(bytes).1, mac2(bytes), from, now)?;
+        let (covered, cookie_mac) = mac2(bytes);
+        self.admit(init, frame.mac1(bytes).1, covered, cookie_mac, from, now)?;
         if init.suite == CipherSuite::AesGcm && !self.config.fast_aes {
             let suite = self.config.suite();
             let prefer = HandshakeFrame::Prefer { channel: init.channel, suite };
@@ -258,7 +259,8 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         &mut self,
         init: &InitFrame,
         mac1: &[u8],
-        (covered, mac2): (&[u8], &[u8]),
+        covered: &[u8],
+        mac2: &[u8],
         from: &A,
         now: Instant,
     ) -> Result<(), OpenError> {

@@ -340,8 +340,8 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         }
         self.remove_peer(peer);
         let secret = self.crypto.pair_secret(public).ok_or(PeerKeyError::LowOrder(peer))?;
-        let terms = (self.config.suite(), self.config.purpose);
-        self.peers.insert(peer, SealedPeer::new(*public, secret, terms));
+        let (suite, purpose) = (self.config.suite(), self.config.purpose);
+        self.peers.insert(peer, SealedPeer::new(*public, secret, suite, purpose));
         Ok(())
     }
 

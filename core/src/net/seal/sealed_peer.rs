@@ -96,7 +96,8 @@ impl<C: SealCrypto, A> SealedPeer<C, A> {
     pub(super) fn new(
         public: [u8; PUBLIC_KEY],
         secret: [u8; 32],
-        (suite, purpose): (CipherSuite, ChannelPurpose),
+        suite: CipherSuite,
+        purpose: ChannelPurpose,
     ) -> Self {
         SealedPeer {
             keys: PairKeys::new(public, secret, purpose),

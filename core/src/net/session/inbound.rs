@@ -41,10 +41,10 @@ pub(crate) struct Inbound {
 }
 
 #[derive(Debug)]
-struct Part {
-    first: bool,
-    last: bool,
-    payload: Bytes,
+pub(crate) struct Part {
+    pub(crate) first: bool,
+    pub(crate) last: bool,
+    pub(crate) payload: Bytes,
 }
 
 #[derive(Debug)]
@@ -103,8 +103,9 @@ impl Inbound {
     pub(crate) fn handle(
         &mut self,
         sequence: u64,
-        (first, last, payload): (bool, bool, Bytes),
-        (now, delay): (Instant, Duration),
+        part: Part,
+        now: Instant,
+        delay: Duration,
         deliver: &mut Vec<Bytes>,
     ) -> Result<ChunkStatus, WireError> {
         if !self.expects(sequence) {
@@ -113,7 +114,7 @@ impl Inbound {
             let beyond = sequence >= self.limit();
             return Ok(if beyond { ChunkStatus::Beyond } else { ChunkStatus::Again });
         }
-        if sequence != self.next && self.ahead_bytes + payload.len() > AHEAD_MAX {
+        if sequence != self.next && self.ahead_bytes + part.payload.len() > AHEAD_MAX {
             return Ok(ChunkStatus::Beyond);
         }
         self.arrived = DelayTicks::of(now);
@@ -121,9 +122,9 @@ impl Inbound {
         // Every second part at once (RFC 9000, 13.2.2). Of large ones, where an acknowledgement
         // costs a quarter of what a part does, every fourth: half of what may be on its way at the
         // least.
-        let many = if payload.len() >= LARGE { 4 } else { 2 };
-        self.ahead_bytes += payload.len();
-        self.ahead.insert(sequence, Part { first, last, payload });
+        let many = if part.payload.len() >= LARGE { 4 } else { 2 };
+        self.ahead_bytes += part.payload.len();
+        self.ahead.insert(sequence, part);
         while let Some(part) = self.ahead.remove(&self.next) {
             self.next += 1;
             self.ahead_bytes -= part.payload.len();
@@ -225,9 +226,12 @@ mod tests {
         bytes.resize(bytes.len() + length, 7);
         let mut second = bytes.freeze();
         let first = second.split_to(length / 2);
-        let (now, mut deliver) = ((Instant::ORIGIN, Duration::ZERO), Vec::new());
-        inbound.handle(inbound.next, (true, false, first), now, &mut deliver).unwrap();
-        inbound.handle(inbound.next, (false, true, second), now, &mut deliver).unwrap();
+        let mut deliver = Vec::new();
+        for (first, payload) in [(true, first), (false, second)] {
+            let part = Part { first, last: !first, payload };
+            let (now, delay) = (Instant::ORIGIN, Duration::ZERO);
+            inbound.handle(inbound.next, part, now, delay, &mut deliver).unwrap();
+        }
         deliver.pop().unwrap()
     }
 
@@ -239,8 +243,9 @@ mod tests {
             let mut part = BytesMut::new();
             part.varint(60_000);
             part.resize(part.len() + 60_000, 7);
-            let (part, times) = (part.freeze(), (Instant::ORIGIN, Duration::ZERO));
-            inbound.handle(sequence, (true, true, part), times, &mut deliver).unwrap()
+            let part = Part { first: true, last: true, payload: part.freeze() };
+            let (now, delay) = (Instant::ORIGIN, Duration::ZERO);
+            inbound.handle(sequence, part, now, delay, &mut deliver).unwrap()
         };
         let taken = (1..256).filter(|n| arrive(&mut inbound, *n) == ChunkStatus::New).count();
         assert_eq!(taken, AHEAD_MAX / 60_003);

@@ -55,7 +55,7 @@ pub use self::status::{SessionState, SessionStatus};
 use self::best_effort::{BestEffortInbound, BestEffortOutbound, DatagramStatus};
 use self::config::{ACK_DELAY, WINDOW};
 use self::congestion::CongestionControl;
-use self::inbound::{ChunkStatus, Inbound};
+use self::inbound::{ChunkStatus, Inbound, Part};
 use self::outbound::Outbound;
 use self::queue::OutboundMessage;
 use self::reassembly::Reassembly;
@@ -231,7 +231,8 @@ impl Session {
     /// [`handle_close`](Session::handle_close). The message comes back.
     pub fn handle_send_along(
         &mut self,
-        (stream, key): (TrafficClass, OrderingKey),
+        stream: TrafficClass,
+        key: OrderingKey,
         message: impl Into<GatherBuffer>,
         credit: Option<Credit>,
         now: Instant,
@@ -548,9 +549,10 @@ impl Session {
         };
         if let Some(payload) = whole {
             let mut messages = Vec::new();
-            let times = (self.now, self.ack_delay());
+            let (now, delay) = (self.now, self.ack_delay());
+            let part = Part { first, last, payload };
             let inbound = &mut self.streams[stream as usize].inbound;
-            let arrived = inbound.handle(sequence, (first, last, payload), times, &mut messages);
+            let arrived = inbound.handle(sequence, part, now, delay, &mut messages);
             let outputs = messages.into_iter();
             self.outputs.extend(outputs.map(|message| SessionOutput::Message { stream, message }));
             match arrived {

@@ -147,7 +147,7 @@ impl Session {
         message: impl Into<GatherBuffer>,
         now: Instant,
     ) -> Result<(), Refused> {
-        self.handle_send_along((stream, OrderingKey::default()), message, None, now)
+        self.handle_send_along(stream, OrderingKey::default(), message, None, now)
     }
 }
 

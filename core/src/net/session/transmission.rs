@@ -183,8 +183,8 @@ impl Session {
         // acknowledgement takes as long there as what it tells of.
         let is_numbered = !self.is_narrow();
         let capacity = mtu.min(CHUNK_MAX.min(self.path.congestion.part_max()));
-        let way = (capacity, is_numbered);
-        let Some(datagram) = self.datagrams.outbound.transmit(tag, way, self.now) else {
+        let outbound = &mut self.datagrams.outbound;
+        let Some(datagram) = outbound.transmit(tag, capacity, is_numbered, self.now) else {
             return false;
         };
         self.datagrams.has_turn = false;

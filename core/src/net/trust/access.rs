@@ -121,7 +121,7 @@ impl AccessPolicy {
     ) -> Result<(), Box<AccessDenied>> {
         let known = self.nodes.get(&peer);
         let verdict = match known {
-            Some((name, role)) => permission(&self.lines, (name, *role), verb, (object, contract)),
+            Some((name, role)) => permission(&self.lines, name, *role, verb, object, contract),
             None => Permission::RefusedByRole(Role::Guest),
         };
         let line = match verdict {
@@ -129,7 +129,7 @@ impl AccessPolicy {
             Permission::RefusedByLine(line) => Some(line),
             Permission::RefusedByRole(_) => None,
         };
-        Err(self.denied(peer, verb, (object, contract), line))
+        Err(self.denied(peer, verb, object, contract, line))
     }
 
     /// Whether a node may claim a name of the robot, and serve under it.
@@ -160,14 +160,15 @@ impl AccessPolicy {
         object: &str,
         contract: &str,
     ) -> Box<AccessDenied> {
-        self.denied(peer, Verb::Tell, (object, contract), None)
+        self.denied(peer, Verb::Tell, object, contract, None)
     }
 
     fn denied(
         &self,
         peer: NodeId,
         verb: Verb,
-        (object, contract): (&str, &str),
+        object: &str,
+        contract: &str,
         line: Option<usize>,
     ) -> Box<AccessDenied> {
         let unlisted = || NodeName::new(&peer.to_string()).expect("a number is a name");

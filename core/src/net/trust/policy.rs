@@ -214,9 +214,11 @@ impl fmt::Display for PolicyLine {
 /// Whether a peer of this role may do this, by these lines.
 pub(super) fn permission(
     lines: &[PolicyLine],
-    (peer, role): (&NodeName, Role),
+    peer: &NodeName,
+    role: Role,
     verb: Verb,
-    (object, contract): (&str, &str),
+    object: &str,
+    contract: &str,
 ) -> Permission {
     let mut refused = None;
     for (place, line) in lines.iter().enumerate() {

@@ -166,7 +166,7 @@ impl NodeRoster {
         contract: &str,
     ) -> Permission {
         match self.node(peer) {
-            Some(node) => permission(&self.policy, (peer, node.role), verb, (object, contract)),
+            Some(node) => permission(&self.policy, peer, node.role, verb, object, contract),
             None => Permission::RefusedByRole(Role::Guest),
         }
     }

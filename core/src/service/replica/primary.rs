@@ -245,7 +245,7 @@ impl Replica {
         let waits = |(needed, _, at): &(Position, MessageId, Instant)| {
             follower.position < *needed && now - *at > lease
         };
-        if follower.catch_up == CatchUp::InStep && primary.held_replies.front().is_some_and(waits) {
+        if follower.catch_up == CatchUp::InStep && primary.held_replies.iter().any(waits) {
             follower.catch_up = CatchUp::Behind;
         }
         let is_behind = follower.catch_up == CatchUp::Behind;

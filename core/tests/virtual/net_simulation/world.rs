@@ -241,7 +241,7 @@ impl World {
         message.resize(32 + length, 0xee);
         let session = node.sessions.get_mut(&NodeId::of(&name(to))).unwrap();
         let accepted = session
-            .handle_send_along((stream, OrderingKey::default()), message.freeze(), None, now)
+            .handle_send_along(stream, OrderingKey::default(), message.freeze(), None, now)
             .is_ok();
         *number += u64::from(accepted);
         self.settle(from);

@@ -22,6 +22,10 @@ const WIDTH: usize = 120;
 /// A file stays below this, so that it can be read in one sitting.
 const LONGEST: usize = 1_000;
 
+/// Modules whose every use is an effect. Clippy's lists name single functions.
+const FOREIGN: [&str; 6] =
+    ["std::net", "std::os", "std::fs", "std::env", "std::process", "std::thread"];
+
 /// Lines of pages and sources are of readable width, say who acts, and silence nothing. That
 /// nothing is unsafe or unfinished is for the lints.
 pub(crate) fn lines(tree: &Tree) -> Vec<Breach> {
@@ -37,13 +41,19 @@ pub(crate) fn lines(tree: &Tree) -> Vec<Breach> {
             let silenced = SILENCED.iter().filter(|_| !page && !derives);
             let wide = page && !line.trim_start().starts_with('|') && line.chars().count() > WIDTH;
             // What clippy refuses in programs of tests, unit tests may otherwise do.
-            let sleeps =
-                !page && path.starts_with("actors/src/") && !path.ends_with("/platform.rs");
-            let sleeps = sleeps && line.contains("thread::sleep");
+            let held = ["actors/src/", "core/", "examples/"];
+            let sleeps = held.iter().any(|folder| path.starts_with(folder))
+                && path.ends_with(".rs")
+                && !path.ends_with("/platform.rs")
+                && line.contains("thread::sleep");
+            let machines = ["core/src/", "core/lite/src/", "core/trees/src/"];
+            let is_machine = machines.iter().any(|folder| path.starts_with(folder));
+            let mut foreign = FOREIGN.iter().filter(|module| is_machine && line.contains(**module));
             let found = [
                 words.find(vague).map(|word| format!("`{word}` leaves open which part acts")),
                 silenced.filter(|mark| line.contains(**mark)).map(|mark| mark.to_string()).next(),
                 sleeps.then(|| "thread::sleep".to_owned()),
+                foreign.next().map(|module| format!("{module}: a machine of the core does no IO")),
                 wide.then(|| format!("wider than {WIDTH} columns")),
             ];
             breaches
@@ -108,7 +118,14 @@ pub(crate) fn turns(tree: &Tree) -> Vec<Breach> {
     for Source { path, tokens, .. } in &tree.sources {
         let module = tokens.windows(3).position(|here| begins(here, "mod real {"));
         let whole = path.contains("/real/").then_some(0);
-        let Some(real) = whole.or(module) else { continue };
+        let real = whole.or(module).unwrap_or(tokens.len());
+        for at in (0..tokens.len()).filter(|&at| begins(&tokens[at..], "test ( crate =")) {
+            let is_real = tokens[at..].iter().take(5).any(|token| token.text.contains("::real"));
+            if is_real != (at > real) {
+                let what = "a test on real threads runs by doubles::real, and no other does";
+                breaches.push(Breach::new(path, tokens[at].line, what));
+            }
+        }
         for at in (real..tokens.len()).filter(|&at| begins(&tokens[at..], "# [ test ]")) {
             let mut after = tokens[at..].iter().map(|token| token.text.as_str());
             let name = after.by_ref().skip_while(|text| *text != "fn").nth(1).unwrap_or_default();

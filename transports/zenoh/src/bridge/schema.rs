@@ -129,7 +129,11 @@ fn fields(shape: &Fields<u32>, types: &[Shape<u32>]) -> Map<String, Value> {
         Fields::Tuple(_) => tuple(annotated),
         Fields::Named(_) => {
             let names = all.iter().map(|field| field.name.to_string());
-            let required: Vec<String> = names.clone().collect();
+            let required = all.iter().filter(|field| {
+                let shape = &types[field.of as usize];
+                !matches!(shape, Shape::Optional(_))
+            });
+            let required: Vec<_> = required.map(|field| field.name.to_string()).collect();
             let properties: Map<_, Value> = names.zip(annotated.map(Value::from)).collect();
             json!({
                 "type": "object",

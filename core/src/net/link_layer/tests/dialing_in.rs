@@ -27,7 +27,7 @@ fn dialed_in(world: &mut World) -> Vec<(NodeId, Address)> {
 
 fn make_link(world: &mut World, number: LinkId, address: Address) -> bool {
     let (now, peer) = (world.now, NodeId::of(&name(0)));
-    let made = world.ends[1].insert_dialed_in(number, link(1, 1, now), (peer, address), at(now));
+    let made = world.ends[1].insert_dialed_in(number, link(1, 1, now), peer, address, at(now));
     world.poll(1);
     made
 }

@@ -35,7 +35,7 @@ fn is_forbidden(output: &PeerProtocolOutput) -> bool {
     let why = match output {
         PeerProtocolOutput::Resolve { result: Err(why), .. } => why,
         PeerProtocolOutput::Lost { why, .. } => why,
-        PeerProtocolOutput::SubscriptionForbidden { why, .. } => why,
+        PeerProtocolOutput::SubscriptionForbidden { why } => why,
         _ => return false,
     };
     matches!(why, DeliveryError::Forbidden { .. })

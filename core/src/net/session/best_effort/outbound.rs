@@ -99,7 +99,8 @@ impl BestEffortOutbound {
     pub(crate) fn transmit(
         &mut self,
         tag: u32,
-        (capacity, is_numbered): (usize, bool),
+        capacity: usize,
+        is_numbered: bool,
         now: Instant,
     ) -> Option<Datagram> {
         while self.rest.is_empty() {

@@ -121,9 +121,9 @@ fn credit_is_held_until_the_peer_has_acknowledged_or_the_message_comes_back() {
     let mut pair = Pair::open();
     let pool = Arc::new(HeldBytes::default());
     let send = |pair: &mut Pair, length| {
-        let (along, now) = ((TrafficClass::Bulk, OrderingKey::default()), at(pair.now));
+        let (key, now) = (OrderingKey::default(), at(pair.now));
         let (message, credit) = (vec![7; length], pool.take(length));
-        pair.ends[0].handle_send_along(along, message, credit, now)
+        pair.ends[0].handle_send_along(TrafficClass::Bulk, key, message, credit, now)
     };
     pair.lose = Box::new(|end, segment| end == 1 && matches!(segment, Segment::Acknowledge { .. }));
     send(&mut pair, 5_000).unwrap();
@@ -162,8 +162,8 @@ fn what_has_no_credit_is_refused_where_its_stream_is_full_and_other_classes_are_
     assert_eq!(refused, Err((full, text("x"))));
     pair.ends[0].handle_send(TrafficClass::Event, text("e"), now).unwrap();
     let pool = Arc::new(HeldBytes::default());
-    let along = (TrafficClass::Request, OrderingKey::default());
-    pair.ends[0].handle_send_along(along, text("x"), pool.take(1), now).unwrap();
+    let (stream, key) = (TrafficClass::Request, OrderingKey::default());
+    pair.ends[0].handle_send_along(stream, key, text("x"), pool.take(1), now).unwrap();
 
     pair.lose = Box::new(|_, _| false);
     pair.run(200);

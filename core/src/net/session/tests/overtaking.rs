@@ -3,17 +3,17 @@
 use super::*;
 use crate::ObjectName;
 
-fn strand(object: &str) -> OrderingKey {
+fn key(object: &str) -> OrderingKey {
     OrderingKey::to(&ObjectName::new(object).unwrap())
 }
 
-fn push(outbound: &mut Outbound, strand: OrderingKey, bytes: impl Into<GatherBuffer>) {
-    outbound.push(strand, OutboundMessage { bytes: bytes.into(), credit: None });
+fn push(outbound: &mut Outbound, key: OrderingKey, bytes: impl Into<GatherBuffer>) {
+    outbound.push(key, OutboundMessage { bytes: bytes.into(), credit: None });
 }
 
 fn send_to(pair: &mut Pair, object: &str, message: Bytes) {
-    let along = (TrafficClass::Request, strand(object));
-    pair.ends[0].handle_send_along(along, message, None, at(pair.now)).unwrap();
+    let (stream, key, now) = (TrafficClass::Request, key(object), at(pair.now));
+    pair.ends[0].handle_send_along(stream, key, message, None, now).unwrap();
 }
 
 #[test]
@@ -97,10 +97,10 @@ fn parts_until(outbound: &mut Outbound, capacity: usize, text: &str) -> usize {
 fn an_order_is_next_however_many_large_ones_wait_for_another_object() {
     let mut outbound = Outbound::new(10_000);
     for _ in 0..123 {
-        push(&mut outbound, strand("map"), vec![7; 17 << 10]);
+        push(&mut outbound, key("map"), vec![7; 17 << 10]);
     }
     outbound.transmit(1300, at(0)).unwrap();
-    push(&mut outbound, strand("leg"), "stop");
+    push(&mut outbound, key("leg"), "stop");
 
     assert!(parts_until(&mut outbound, 1300, "stop") <= 2);
 }
@@ -108,12 +108,12 @@ fn an_order_is_next_however_many_large_ones_wait_for_another_object() {
 #[test]
 fn an_order_is_next_however_many_small_ones_wait_behind_a_large_one_of_their_object() {
     let mut outbound = Outbound::new(10_000);
-    push(&mut outbound, strand("map"), vec![7; 1 << 20]);
+    push(&mut outbound, key("map"), vec![7; 1 << 20]);
     for _ in 0..32 {
-        push(&mut outbound, strand("map"), "reading");
+        push(&mut outbound, key("map"), "reading");
     }
     outbound.transmit(1300, at(0)).unwrap();
-    push(&mut outbound, strand("leg"), "stop");
+    push(&mut outbound, key("leg"), "stop");
 
     assert!(parts_until(&mut outbound, 1300, "stop") <= 2);
 }
@@ -122,10 +122,10 @@ fn an_order_is_next_however_many_small_ones_wait_behind_a_large_one_of_their_obj
 fn an_order_comes_soon_although_a_hundred_objects_have_large_ones_before_it() {
     let mut outbound = Outbound::new(10_000);
     for n in 0..100 {
-        push(&mut outbound, strand(&format!("camera{n}")), vec![7; 100_000]);
+        push(&mut outbound, key(&format!("camera{n}")), vec![7; 100_000]);
     }
     outbound.transmit(1300, at(0)).unwrap();
-    push(&mut outbound, strand("leg"), "stop");
+    push(&mut outbound, key("leg"), "stop");
 
     assert!(parts_until(&mut outbound, 1300, "stop") <= 8, "32 are looked at for each part");
 }
@@ -133,13 +133,13 @@ fn an_order_comes_soon_although_a_hundred_objects_have_large_ones_before_it() {
 #[test]
 fn what_was_not_cut_when_the_session_ends_was_not_sent_and_all_come_back_in_order() {
     let mut outbound = Outbound::new(10_000);
-    push(&mut outbound, strand("map"), vec![7; 3000]);
-    push(&mut outbound, strand("map"), "after");
-    push(&mut outbound, strand("leg"), "stop");
+    push(&mut outbound, key("map"), vec![7; 3000]);
+    push(&mut outbound, key("map"), "after");
+    push(&mut outbound, key("leg"), "stop");
     for _ in 0..2 {
         outbound.transmit(1300, at(0)).unwrap();
     }
-    push(&mut outbound, strand("leg"), "go");
+    push(&mut outbound, key("leg"), "go");
 
     let all: Vec<_> = outbound.take_all().collect();
 
@@ -153,8 +153,8 @@ fn what_was_not_cut_when_the_session_ends_was_not_sent_and_all_come_back_in_orde
 /// Sends so many messages of so many bytes to this object.
 fn fill(pair: &mut Pair, stream: TrafficClass, object: &str, count: usize, length: usize) {
     for _ in 0..count {
-        let along = (stream, strand(object));
-        pair.ends[0].handle_send_along(along, vec![7; length], None, at(pair.now)).unwrap();
+        let (message, now) = (vec![7; length], at(pair.now));
+        pair.ends[0].handle_send_along(stream, key(object), message, None, now).unwrap();
     }
     pair.drain();
 }

@@ -242,15 +242,13 @@ fn over_9600_baud_what_is_small_does_not_wait_for_the_rest_of_what_is_large() {
     let image = Bytes::from(vec![7; 12_000]);
     let now = at(pair.now);
     pair.ends[0]
-        .handle_send_along((TrafficClass::Request, camera), image.clone(), None, now)
+        .handle_send_along(TrafficClass::Request, camera, image.clone(), None, now)
         .unwrap();
     pair.run(3000);
 
     let now = at(pair.now);
     let order = Bytes::from(vec![8; 20]);
-    pair.ends[0]
-        .handle_send_along((TrafficClass::Request, motor), order.clone(), None, now)
-        .unwrap();
+    pair.ends[0].handle_send_along(TrafficClass::Request, motor, order.clone(), None, now).unwrap();
     pair.run(1000);
 
     assert_eq!(pair.take(1), [message(order)], "within a second of twenty");
