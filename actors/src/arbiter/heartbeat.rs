@@ -92,7 +92,7 @@ impl ArbiterHeartbeat {
         self.id
     }
 
-    /// Whether this thread is an arbiter that was enrolled and whose loop turns.
+    /// Whether this thread is an arbiter that was registered and whose loop turns.
     #[inline]
     pub(crate) fn beats_here() -> bool {
         BEATS.try_with(Cell::get).unwrap_or(false)
@@ -102,7 +102,7 @@ impl ArbiterHeartbeat {
     ///
     /// # Panics
     /// Outside of an actix arbiter.
-    pub(crate) fn enrol_here() -> Arc<ArbiterHeartbeat> {
+    pub(crate) fn register_here() -> Arc<ArbiterHeartbeat> {
         let heartbeat = HERE.with(|here| here.get_or_init(Arc::default).clone());
         if let Some(beat) = heartbeat.clone().start_beating() {
             actix_rt::spawn(beat);
@@ -263,7 +263,7 @@ mod tests {
     #[blastema_macros::test(crate = "blastema_doubles")]
     async fn who_is_isolated_is_told_so_and_who_is_fenced_is_told_that() {
         assert_eq!(send_refusal(), None);
-        let heartbeat = ArbiterHeartbeat::enrol_here();
+        let heartbeat = ArbiterHeartbeat::register_here();
         heartbeat.mute(true);
         assert_eq!(send_refusal(), Some(DeliveryError::SenderIsolated));
         heartbeat.fence();
@@ -279,7 +279,7 @@ mod tests {
         for _ in 0..2 {
             assert!(!ArbiterHeartbeat::beats_here());
             paused(async {
-                let heartbeat = ArbiterHeartbeat::enrol_here();
+                let heartbeat = ArbiterHeartbeat::register_here();
                 let before = heartbeat.beats();
                 advance(Duration::from_millis(100)).await;
                 assert!((9..=11).contains(&(heartbeat.beats() - before)));

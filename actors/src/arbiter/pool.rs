@@ -232,7 +232,7 @@ impl ArbiterPool {
         own_thread: Option<ThreadScheduling>,
     ) -> io::Result<ArbiterSlot> {
         if self.0.shared == 0 {
-            let heartbeat = ArbiterHeartbeat::enrol_here();
+            let heartbeat = ArbiterHeartbeat::register_here();
             return Ok(ArbiterSlot::new(Arbiter::current(), heartbeat, false));
         }
         self.check_share(object)?;

@@ -202,7 +202,7 @@ struct Client {
     link: Arc<DeviceLink>,
     in_flight: Option<InFlight>,
     /// A fault whose text is not asked for yet.
-    untold: Option<(u8, u8)>,
+    unsent: Option<(u8, u8)>,
     values: BTreeMap<usize, Vec<u8>>,
     greeted: bool,
 }
@@ -307,9 +307,9 @@ impl LineService {
         }
         for link in &attached.links[self.clients.len()..] {
             self.hosts.push(Host::new(link.config.clone(), since(now)));
-            let (in_flight, untold, values) = Default::default();
+            let (in_flight, unsent, values) = Default::default();
             let link = link.clone();
-            self.clients.push(Client { link, in_flight, untold, values, greeted: false });
+            self.clients.push(Client { link, in_flight, unsent, values, greeted: false });
         }
         !attached.ended
     }
@@ -419,7 +419,7 @@ impl LineService {
             if client.in_flight.is_some() || !host.is_serving() {
                 continue;
             }
-            if let Some((object, code)) = client.untold.take() {
+            if let Some((object, code)) = client.unsent.take() {
                 let asked = host.handle_command(DeviceCommand::Text(object, code));
                 client.in_flight = asked.is_ok().then_some(InFlight::Text(object, code));
             } else if let Some((order, give)) = client.link.next_order() {
@@ -458,15 +458,15 @@ impl Client {
                 }
                 self.greeted = true;
                 if identity.deadman && self.link.is_active() {
-                    self.untold = Some((1, message::CODE_DEADMAN));
+                    self.unsent = Some((1, message::CODE_DEADMAN));
                 }
             }
             HostEvent::Serving => {
                 self.link.set_phase(DevicePhase::Serving);
                 let objects = self.link.config.ports.iter().map(Port::object).max().unwrap_or(1);
                 let in_error = |object: &u8| host.state(*object) == Some(DeviceState::Error);
-                if self.link.is_active() && self.untold.is_none() {
-                    self.untold = (1..=objects).find(in_error).map(|object| (object, 0));
+                if self.link.is_active() && self.unsent.is_none() {
+                    self.unsent = (1..=objects).find(in_error).map(|object| (object, 0));
                 }
             }
             HostEvent::Refused(mismatch) => {
@@ -490,7 +490,7 @@ impl Client {
                 None => {}
             },
             HostEvent::State { object, state: DeviceState::Error, code } => {
-                self.untold.get_or_insert((object, code));
+                self.unsent.get_or_insert((object, code));
             }
             HostEvent::State { .. } => {}
             HostEvent::Data { port } => {

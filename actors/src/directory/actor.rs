@@ -73,7 +73,7 @@ pub(crate) struct DirectoryActor {
     /// As of which revisions of the registry and the topics other nodes know what is here.
     revisions: Option<(u64, u64)>,
     /// How many objects and publishers of this node are not reported to other nodes.
-    untold: usize,
+    unsent: usize,
 }
 
 /// Where a [`DirectoryActor`] receives its messages.
@@ -108,7 +108,7 @@ impl DirectoryActor {
             without: UnmetClaims::default(),
             reported_conflict: None,
             revisions: None,
-            untold: 0,
+            unsent: 0,
             setup,
         };
         let actor = guardian.start(crate::net::named("directory"), arbiter, make);
@@ -200,11 +200,11 @@ impl DirectoryActor {
             DirectoryKey::Publisher { topic, contract: contract.to_string() }
         });
         let present = objects.chain(publishers).collect();
-        let untold = self.setup.names.change(|machine| machine.handle_present(present));
-        if untold > self.untold {
-            warn!(untold, "other nodes are not told of objects and publishers: there are too many");
+        let unsent = self.setup.names.change(|machine| machine.handle_present(present));
+        if unsent > self.unsent {
+            warn!(unsent, "other nodes are not told of objects and publishers: there are too many");
         }
-        self.untold = untold;
+        self.unsent = unsent;
     }
 
     /// The policy of the robot is another: what it had forbidden is claimed again.

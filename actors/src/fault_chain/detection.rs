@@ -202,7 +202,7 @@ impl Handler<Register> for DetectionActor {
     fn handle(&mut self, message: Register, context: &mut Context<Self>) -> Self::Result {
         let Register { registration, pings } = message;
         let object = registration.object.clone();
-        self.machine.monitor.enrol(registration, platform::now())?;
+        self.machine.monitor.register(registration, platform::now())?;
         if let Some(pings) = pings
             && self.pings.insert(object.clone(), pings.clone()).is_none()
         {

@@ -173,11 +173,9 @@ impl ObjectGateway {
     fn carry_out(&mut self, output: PeerProtocolOutput) {
         let now = platform::now();
         match output {
-            PeerProtocolOutput::Send { peer, stream, strand, message, credit } => {
+            PeerProtocolOutput::Send { peer, stream, key, message, credit } => {
                 let sent = match self.exchange.peers.present(peer) {
-                    Some(session) => {
-                        session.handle_send_along(stream, strand, message, credit, now)
-                    }
+                    Some(session) => session.handle_send_along(stream, key, message, credit, now),
                     None => Err((self.exchange.peers.unreachable(peer), message.into_bytes())),
                 };
                 self.give_back(peer, sent);

@@ -155,7 +155,7 @@ impl<E: Event> Topic<E> {
             entries: RefCell::default(),
             newcomers: RefCell::default(),
             gone: Cell::new(0),
-            heartbeat: ArbiterHeartbeat::enrol_here(),
+            heartbeat: ArbiterHeartbeat::register_here(),
             budget: TurnBudget::default(),
             batch: RefCell::new(None),
             turn_of: Cell::new(0),

@@ -21,8 +21,8 @@ use std::time::Duration;
 /// that it panicked is passed on. A report or an answer of a new incarnation of an object empties
 /// its history.
 ///
-/// What is reported of an object that was never enrolled opens a row of its own, so that a
-/// component that dies before its enrolment arrives is not lost.
+/// What is reported of an object that was never registered opens a row of its own, so that a
+/// component that dies before its registration arrives is not lost.
 #[derive(Clone, Debug)]
 pub struct Monitor {
     node: NodeName,
@@ -65,7 +65,7 @@ impl Monitor {
     ///
     /// # Errors
     /// [`RegistrationError::TableFull`]
-    pub fn enrol(
+    pub fn register(
         &mut self,
         registration: Registration,
         now: Instant,
@@ -144,7 +144,7 @@ impl Monitor {
         }
         let is_known = self.objects.contains_key(object);
         let Some(entry) = self.admit(object, incarnation) else { return };
-        // Every component is enrolled before it begins.
+        // Every component is registered before it begins.
         if !is_known && restarted_as.is_some() {
             entry.kind = ObjectKind::Middleware;
         }

@@ -11,9 +11,9 @@ use std::time::Duration;
 /// use blastema_core::ObjectName;
 /// use blastema_core::detection::Registration;
 ///
-/// let enrolment = Registration::new(ObjectName::new("laser")?)
+/// let registration = Registration::new(ObjectName::new("laser")?)
 ///     .depends_on(["module1:power".parse()?]);
-/// assert_eq!(enrolment.depends_on.len(), 1);
+/// assert_eq!(registration.depends_on.len(), 1);
 /// # Ok::<(), blastema_core::NameError>(())
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]

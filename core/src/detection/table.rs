@@ -36,7 +36,7 @@ pub struct MonitorRow {
     /// thread last showed that it turns, or, while a handler keeps that, when the handler began. Of
     /// a link, its last hello; of a node, the last hello on any link to it.
     pub last_sign: Option<Duration>,
-    /// How many incarnations it has begun since it was enrolled, without the first.
+    /// How many incarnations it has begun since it was registered, without the first.
     pub restarts: u32,
     /// How often it was suspect in this incarnation.
     pub suspicions: u32,

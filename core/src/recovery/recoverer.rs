@@ -318,12 +318,12 @@ impl Recoverer {
     /// rest; then the case is closed.
     fn fall_back(&mut self, location: &FaultLocation, reason: String, now: Instant) -> bool {
         let case = self.cases.get_mut(location).expect("a case in treatment is open");
-        let untold = !std::mem::replace(&mut case.given_up, true);
+        let unsent = !std::mem::replace(&mut case.given_up, true);
         let rested = case.ladder.steps().iter().any(|step| step.action == RecoveryAction::SafeStop);
         if !rested {
             case.ladder = case.ladder.clone().then(RecoveryAction::SafeStop);
         }
-        if untold {
+        if unsent {
             for fault in case.known() {
                 self.tell(&fault, RecoveryOutcome::GaveUp { reason: reason.clone() });
             }

@@ -55,7 +55,7 @@ fn genuine() -> Vec<Bytes> {
         sequence: 7,
         interval_us: 10_000,
         skipped: 0,
-        stance: HelloState::Ready,
+        state: HelloState::Ready,
         loss_permille: 3,
         echo: Some(Echo { incarnation: Incarnation(1), sequence: 1, held_us: 5 }),
     };

@@ -17,8 +17,8 @@ fn monitor() -> Monitor {
 
 fn watched() -> Monitor {
     let mut monitor = monitor();
-    let enrolment = Registration { incarnation: TWO, ..Registration::new(object("laser")) };
-    monitor.enrol(enrolment, at(0)).expect("there is room");
+    let registration = Registration { incarnation: TWO, ..Registration::new(object("laser")) };
+    monitor.register(registration, at(0)).expect("there is room");
     seen(&mut monitor);
     monitor
 }
@@ -75,8 +75,8 @@ fn the_first_incarnation_of_an_object_is_no_restart() {
     let mut monitor = monitor();
     let laser = object("laser");
     let unborn = Incarnation::default();
-    let enrolment = Registration { incarnation: unborn, ..Registration::new(laser.clone()) };
-    monitor.enrol(enrolment, at(0)).unwrap();
+    let registration = Registration { incarnation: unborn, ..Registration::new(laser.clone()) };
+    monitor.register(registration, at(0)).unwrap();
 
     monitor.handle_state(&laser, ONE, Lifecycle::Created, None, at(60_000));
 
@@ -283,13 +283,13 @@ fn a_restart_by_the_guard_leaves_the_next_incarnation_in_the_table() {
 
 #[test]
 fn an_object_of_the_middleware_is_at_work_when_its_guard_has_restarted_it() {
-    let mut enrolled = monitor();
+    let mut registered = monitor();
     let kind = ObjectKind::Middleware;
-    let enrolment = Registration { kind, ..Registration::new(object("laser")) };
-    enrolled.enrol(enrolment, at(0)).expect("there is room");
-    seen(&mut enrolled);
+    let registration = Registration { kind, ..Registration::new(object("laser")) };
+    registered.register(registration, at(0)).expect("there is room");
+    seen(&mut registered);
 
-    for (case, mut monitor) in [("enrolled", enrolled), ("unknown", monitor())] {
+    for (case, mut monitor) in [("registered", registered), ("unknown", monitor())] {
         for (incarnation, next, millis) in [(ONE, TWO, 210), (TWO, THREE, 220)] {
             monitor.handle_exited(
                 &object("laser"),
@@ -368,7 +368,7 @@ fn a_note_goes_when_its_cause_goes_and_no_earlier() {
 #[test]
 fn a_hang_after_a_wait_of_the_same_handler_is_observed_and_makes_its_victims_suspect() {
     let mut monitor = watched();
-    monitor.enrol(Registration::new(object("map")), at(0)).expect("there is room");
+    monitor.register(Registration::new(object("map")), at(0)).expect("there is room");
     seen(&mut monitor);
     let victims: Arc<[ObjectName]> = [object("laser"), object("map"), object("ghost")].into();
 
@@ -423,9 +423,9 @@ fn a_restart_with_a_smaller_number_is_a_new_incarnation() {
 #[test]
 fn a_full_table_refuses_what_is_not_in_it() {
     let mut monitor = Monitor { rows_max: 1, ..Monitor::new(node("m")) };
-    monitor.enrol(Registration::new(object("a")), at(0)).expect("there is room");
+    monitor.register(Registration::new(object("a")), at(0)).expect("there is room");
 
-    let refused = monitor.enrol(Registration::new(object("b")), at(0));
+    let refused = monitor.register(Registration::new(object("b")), at(0));
     monitor.handle_exited(&object("c"), ONE, panicked(), None, at(0));
     monitor.handle_link(node("m"), "eth".into(), None, LinkCondition::Up, at(0));
     monitor.handle_node(node("n"), ONE, NodeCondition::Reachable, at(0));
@@ -433,7 +433,7 @@ fn a_full_table_refuses_what_is_not_in_it() {
     let text = refused.unwrap_err().to_string();
     assert_eq!(text, "b is not watched: the monitor's table already has 1 rows");
     assert_eq!(monitor.read_table(at(0)).len(), 1);
-    monitor.enrol(Registration::new(object("a")), at(0)).expect("it has its row already");
+    monitor.register(Registration::new(object("a")), at(0)).expect("it has its row already");
 }
 
 #[test]

@@ -342,7 +342,7 @@ impl Link {
         self.damping.handle_hello(missed);
         self.listen(&hello, missed, now);
         self.judge_quality(now);
-        if self.carries() && hello.stance == HelloState::Down {
+        if self.carries() && hello.state == HelloState::Down {
             self.go_down("the neighbour has given it up", now);
         }
         self.rise(now);
@@ -352,7 +352,7 @@ impl Link {
         let Some(record) = &mut self.neighbour else { return };
         record.received_at = now;
         record.stall.count = 0;
-        record.state_there = hello.stance;
+        record.state_there = hello.state;
         record.loss_there = hello.loss_permille;
         if let Some(echo) = hello.echo.filter(|echo| echo.incarnation == self.config.incarnation) {
             let newest = record
@@ -433,7 +433,7 @@ impl Link {
             sequence,
             interval_us: u32::try_from(self.hellos.interval.as_micros()).unwrap_or(u32::MAX),
             skipped: self.hellos.skipped(sequence),
-            stance: self.hello_state(),
+            state: self.hello_state(),
             loss_permille: lost.unwrap_or(0),
             echo,
         }

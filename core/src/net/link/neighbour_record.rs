@@ -64,7 +64,7 @@ impl NeighbourRecord {
             received_at: now,
             heard_at: now,
             hellos_received: 0,
-            state_there: hello.stance,
+            state_there: hello.state,
             loss_there: 0,
             echoed: None,
             answered: Instant::ORIGIN,

@@ -87,7 +87,7 @@ impl Cable {
 }
 
 /// The first incarnation of this node says so.
-fn hello(node: &str, sequence: u32, stance: HelloState) -> Bytes {
+fn hello(node: &str, sequence: u32, state: HelloState) -> Bytes {
     let (node, incarnation) = (NodeName::new(node).unwrap(), Incarnation(1));
     let hello = Hello {
         node,
@@ -95,7 +95,7 @@ fn hello(node: &str, sequence: u32, stance: HelloState) -> Bytes {
         sequence,
         interval_us: 10_000,
         skipped: 0,
-        stance,
+        state,
         loss_permille: 0,
         echo: None,
     };

@@ -168,7 +168,7 @@ fn hello(node: usize, incarnation: u64, sequence: u32) -> Bytes {
         sequence,
         interval_us: 50_000,
         skipped: 0,
-        stance: HelloState::Down,
+        state: HelloState::Down,
         loss_permille: 0,
         echo: None,
     };

@@ -265,8 +265,8 @@ impl PeerProtocol {
                 let identity = contract.full().encode();
                 let object = key.0.clone();
                 session.numbers.insert(number, key.clone());
-                let strand = OrderingKey::to(&object);
-                let binding = Binding { number, strand, contract, waiting: Some(vec![waiting]) };
+                let (order, waiting) = (OrderingKey::to(&object), Some(vec![waiting]));
+                let binding = Binding { number, key: order, contract, waiting };
                 session.bindings.insert(key, binding);
                 let bind = PeerMessage::Bind { binding: number, object, identity };
                 self.outputs.push_back(control(peer, &bind));
@@ -342,10 +342,10 @@ impl PeerProtocol {
     ) {
         let Some(session) = self.session(peer, epoch) else { return };
         let stream = session.reply_streams.remove(&call).unwrap_or(TrafficClass::Request);
-        let (strand, message) =
+        let (key, message) =
             (OrderingKey::Call(call), PeerMessage::Reply { call, result }.encode());
         let credit = None;
-        self.outputs.push_back(PeerProtocolOutput::Send { peer, stream, strand, message, credit });
+        self.outputs.push_back(PeerProtocolOutput::Send { peer, stream, key, message, credit });
     }
 
     /// Time passes: what was to be answered by now is given up.
@@ -587,8 +587,8 @@ fn give_up(
 }
 
 fn control(peer: NodeId, message: &PeerMessage) -> PeerProtocolOutput {
-    let (stream, strand) = (TrafficClass::Control, OrderingKey::default());
-    PeerProtocolOutput::Send { peer, stream, strand, message: message.encode(), credit: None }
+    let (stream, key) = (TrafficClass::Control, OrderingKey::default());
+    PeerProtocolOutput::Send { peer, stream, key, message: message.encode(), credit: None }
 }
 
 fn subscribe(topic: &TopicContract, interest: &RemoteTopic) -> PeerMessage {

@@ -70,7 +70,7 @@ pub(super) type BindingRoute = (u32, Option<TrafficClass>, OrderingKey);
 pub(super) struct Binding {
     pub(super) number: u32,
     /// That of its object.
-    pub(super) strand: OrderingKey,
+    pub(super) key: OrderingKey,
     pub(super) contract: ContractIdentity,
     /// Messages that wait until the peer has agreed; `None` once it has.
     pub(super) waiting: Option<Vec<QueuedMessage>>,
@@ -78,7 +78,7 @@ pub(super) struct Binding {
 
 impl Binding {
     pub(super) fn route(&self) -> BindingRoute {
-        (self.number, self.stream(), self.strand)
+        (self.number, self.stream(), self.key)
     }
 
     pub(super) fn stream(&self) -> Option<TrafficClass> {
@@ -173,7 +173,7 @@ impl PeerSession {
     pub(super) fn send(
         &mut self,
         peer: NodeId,
-        (binding, stream, strand): BindingRoute,
+        (binding, stream, key): BindingRoute,
         waiting: QueuedMessage,
         next_call: &mut u64,
     ) -> PeerProtocolOutput {
@@ -191,7 +191,7 @@ impl PeerSession {
                 PeerMessage::Request { binding, call, timestamp, within, id, payload }
             }
         };
-        carry(peer, ((binding << 1) | 1, stream, strand), &message, credit)
+        carry(peer, ((binding << 1) | 1, stream, key), &message, credit)
     }
 
     /// The peer has agreed: what waited goes out. `None` if nothing was asked.
@@ -216,13 +216,13 @@ fn ticks(span: Duration) -> u64 {
 /// those of bindings odd.
 pub(super) fn carry(
     peer: NodeId,
-    (channel, stream, strand): BindingRoute,
+    (channel, stream, key): BindingRoute,
     message: &PeerMessage,
     credit: Option<Credit>,
 ) -> PeerProtocolOutput {
     let message = message.encode();
     match stream {
-        Some(stream) => PeerProtocolOutput::Send { peer, stream, strand, message, credit },
+        Some(stream) => PeerProtocolOutput::Send { peer, stream, key, message, credit },
         None => PeerProtocolOutput::SendNewest { peer, channel, message, credit },
     }
 }

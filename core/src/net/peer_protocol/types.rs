@@ -93,7 +93,7 @@ pub enum PeerProtocolOutput {
         /// The ordered stream that carries it.
         stream: TrafficClass,
         /// With what it stays in order there.
-        strand: OrderingKey,
+        key: OrderingKey,
         /// The encoded message.
         message: GatherBuffer,
         /// The credit that it holds until the peer's session has acknowledged it.

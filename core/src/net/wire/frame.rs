@@ -10,14 +10,14 @@
 //! hello, kind 0, 38 bytes and the name:
 //!      2         10         14           18     19       21               29      33      37    38
 //! ┌────────┬───────────┬──────────┬─────────────┬──────┬──────┬──────────────┬───────┬──────┬───┬──────┐
-//! │ 1011 v │incarnation│ sequence │ interval µs │stance│loss ‰│ echoed       │echoed │held  │ n │ name │
+//! │ 1011 v │incarnation│ sequence │ interval µs │state │loss ‰│ echoed       │echoed │held  │ n │ name │
 //! │   0    │     8     │    4     │     4       │  1   │  2   │ incarnation 8│ seq. 4│ µs 4 │ 1 │  n   │
 //! └────────┴───────────┴──────────┴─────────────┴──────┴──────┴──────────────┴───────┴──────┴───┴──────┘
 //! ```
 //!
 //! The echo says which hello of the neighbour arrived last and how long ago: the neighbour learns
-//! that it is heard, and the round trip without any clock in common. Stance and loss say what this
-//! end thinks of the link, so that both ends use it, or neither; beside the stance stand six bits:
+//! that it is heard, and the round trip without any clock in common. State and loss say what this
+//! end thinks of the link, so that both ends use it, or neither; beside the state stand six bits:
 //! how many hellos before this one were not sent, since their node was not run. Numbers are
 //! big-endian.
 //!
@@ -130,7 +130,7 @@ pub struct Hello {
     /// they are not lost. At most [`SKIPPED_MAX`](Hello::SKIPPED_MAX).
     pub skipped: u8,
     /// Whether it would use the link.
-    pub stance: HelloState,
+    pub state: HelloState,
     /// How many of a thousand of the other's hellos it has lost lately.
     pub loss_permille: u16,
     /// What it last heard of the one that it speaks to; `None` if nothing yet.
@@ -282,7 +282,7 @@ impl Hello {
         bytes.put_u64(self.incarnation.0);
         bytes.put_u32(self.sequence);
         bytes.put_u32(self.interval_us);
-        bytes.put_u8(self.skipped.min(Hello::SKIPPED_MAX) << 2 | self.stance as u8);
+        bytes.put_u8(self.skipped.min(Hello::SKIPPED_MAX) << 2 | self.state as u8);
         bytes.put_u16(self.loss_permille);
         bytes.put_u64(echo.incarnation.0);
         bytes.put_u32(echo.sequence);
@@ -295,13 +295,13 @@ impl Hello {
         let incarnation = Incarnation(reader.u64()?);
         let sequence = reader.u32()?;
         let interval_us = reader.u32()?;
-        let state = reader.u8()?;
-        let skipped = state >> 2;
-        let stance = match state & 3 {
+        let bits = reader.u8()?;
+        let skipped = bits >> 2;
+        let state = match bits & 3 {
             0 => HelloState::Unproved,
             1 => HelloState::Down,
             2 => HelloState::Ready,
-            _ => return Err(WireError::Malformed { what: "a hello's stance" }),
+            _ => return Err(WireError::Malformed { what: "a hello's state" }),
         };
         let loss_permille = reader.u16()?;
         let echo = Echo {
@@ -315,7 +315,7 @@ impl Hello {
             return Err(WireError::Malformed { what: "an incarnation" });
         }
         let echo = (echo.incarnation != Incarnation(0)).then_some(echo);
-        Ok(Hello { node, incarnation, sequence, interval_us, skipped, stance, loss_permille, echo })
+        Ok(Hello { node, incarnation, sequence, interval_us, skipped, state, loss_permille, echo })
     }
 }
 
@@ -332,7 +332,7 @@ mod tests {
             sequence: 3,
             interval_us: 50_000,
             skipped: 0,
-            stance: HelloState::Ready,
+            state: HelloState::Ready,
             loss_permille: 0x0102,
             echo: Some(Echo { incarnation: Incarnation(0x0a), sequence: 9, held_us: 0x100 }),
         }

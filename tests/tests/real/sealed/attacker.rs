@@ -117,7 +117,7 @@ fn hello(of: &str, incarnation: u64, sequence: u32) -> Vec<u8> {
         sequence,
         interval_us: 50_000,
         skipped: 0,
-        stance: HelloState::Down,
+        state: HelloState::Down,
         loss_permille: 0,
         echo: None,
     };

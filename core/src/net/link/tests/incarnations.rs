@@ -53,7 +53,7 @@ fn one_changed_bit_anywhere_in_a_hello_takes_nothing_down() {
         let counted = cable.ends[0].refusals().total() > before;
         cable.run_until(cable.now + 40);
         // Another kind; a number that is a little ahead, a longer interval, an echo, a loss, a
-        // stance: the next hellos put them right.
+        // state: the next hellos put them right.
         let harmless = (8..16).contains(&bit) || bit >= 13 * 8;
         assert!(counted || harmless, "bit {bit} was believed");
         assert_eq!(changes(&cable), 0, "bit {bit}: {:?}", cable.outputs);

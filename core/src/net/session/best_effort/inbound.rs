@@ -20,7 +20,7 @@ pub(crate) struct BestEffortInbound {
     /// When that is owed at the latest.
     owed: Option<Instant>,
     /// Datagrams since it was told.
-    untold: u32,
+    unsent: u32,
 }
 
 /// What became of a datagram.
@@ -48,7 +48,7 @@ impl BestEffortInbound {
             pieces,
             arrived: DatagramAck::default(),
             owed: None,
-            untold: 0,
+            unsent: 0,
         }
     }
 
@@ -57,8 +57,8 @@ impl BestEffortInbound {
         let DatagramAck { next, received, .. } = self.arrived;
         let next = next.max(number.saturating_add(1));
         self.arrived = DatagramAck { next, received: received + 1, arrived: DelayTicks::of(now) };
-        self.untold += 1;
-        let due = if self.untold < Self::UNTOLD_MAX { now + delay } else { now };
+        self.unsent += 1;
+        let due = if self.unsent < Self::UNTOLD_MAX { now + delay } else { now };
         self.owed = Some(self.owed.map_or(due, |owed| owed.min(due)));
     }
 
@@ -69,7 +69,7 @@ impl BestEffortInbound {
 
     /// What has arrived, if that is owed; nothing is any more.
     pub(crate) fn acknowledge(&mut self) -> Option<DatagramAck> {
-        self.untold = 0;
+        self.unsent = 0;
         self.owed.take().map(|_| self.arrived)
     }
 
