@@ -118,11 +118,6 @@ impl<K, V> SortedMap<K, V> {
         self.chunks.iter_mut().flatten().map(|(_, value)| value)
     }
 
-    /// All keys in order.
-    pub fn into_keys(self) -> impl DoubleEndedIterator<Item = K> {
-        self.into_iter().map(|(key, _)| key)
-    }
-
     /// All values in the order of their keys.
     pub fn into_values(self) -> impl DoubleEndedIterator<Item = V> {
         self.into_iter().map(|(_, value)| value)

@@ -7,10 +7,13 @@
 //! Every change has a revision, which rises over all variables and over the incarnations of the
 //! node, so that "has it changed since?" has an answer whatever happened in between.
 
+use crate::contract::layout::{Described, Field, Fields, Layout, Shape, Variant, describe};
 use crate::sorted::SortedMap;
 use crate::{Blob, DeliveryError, Instant, ObjectName};
 use bytes::Bytes;
 use serde::{Deserialize, Serialize};
+use std::any::TypeId;
+use std::borrow::Cow;
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -58,6 +61,11 @@ pub struct ValueReport {
     pub state: ValueState,
     /// For how long it has stood so.
     pub age: Duration,
+}
+
+describe! { enum ValueState { Current, Held, Undecided } }
+describe! {
+    struct ValueReport { value: Blob, revision: u64, state: ValueState, age: Duration }
 }
 
 /// Which variable: its owner, and the name of its contract.

@@ -243,7 +243,7 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
         let nodes: SortedMap<_, _> =
             nodes.into_iter().map(|NeighbourKey { node, public }| (node, public)).collect();
         let Some(sealer) = &mut self.sealer else { return Ok(()) };
-        for node in before.into_keys() {
+        for (node, _) in before {
             if !nodes.contains_key(&node) && !self.by_peer.contains_key(&node) {
                 sealer.remove_peer(node);
             }

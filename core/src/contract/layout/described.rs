@@ -1,10 +1,9 @@
 //! The structure of Rust's own types, and of the middleware's words that users put into messages.
 
 use super::{Described, Field, Fields, Layout, Primitive, Shape, Variant};
-use crate::variables::{ValueReport, ValueState};
 use crate::{
-    Blob, FaultId, FaultKind, FaultLocation, Incarnation, Lifecycle, NodeName, ObjectAddress,
-    ObjectName, Severity,
+    FaultId, FaultKind, FaultLocation, Incarnation, Lifecycle, NodeName, ObjectAddress, ObjectName,
+    Severity,
 };
 use std::any::TypeId;
 use std::borrow::Cow;
@@ -203,16 +202,14 @@ macro_rules! describe {
     };
 }
 
+pub(crate) use describe;
+
 describe! { enum Result<T, E> { Ok(T), Err(E) } }
 describe! { struct NodeName(String) }
 describe! { struct ObjectName(String) }
 describe! { struct ObjectAddress { node: NodeName, object: ObjectName } }
 describe! { struct Incarnation(u64) }
 describe! { struct FaultId(u64) }
-describe! { enum ValueState { Current, Held, Undecided } }
-describe! {
-    struct ValueReport { value: Blob, revision: u64, state: ValueState, age: Duration }
-}
 describe! { enum Severity { Warning, Error, Critical } }
 describe! { enum Lifecycle { Created, Initialized, Active, Error, Fatal, Finalized } }
 describe! {

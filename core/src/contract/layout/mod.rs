@@ -16,6 +16,7 @@ pub mod difference;
 pub mod fields;
 
 pub use described::ArrayField;
+pub(crate) use described::describe;
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
