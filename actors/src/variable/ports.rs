@@ -11,14 +11,17 @@ use blastema_core::{ObjectName, Variable};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
+/// Makes a variable once its component is registered.
+type DeclareLater<C> =
+    Box<dyn FnOnce(&Arc<ComponentCell<C>>) -> Result<DeclaredVariable, SpecError>>;
+
 /// A variable that a component declares.
 pub(crate) struct VariablePort<C: Component> {
     pub(crate) contract: &'static str,
     /// It holds the component's parameters.
     pub(crate) is_parameters: bool,
     /// Makes it once the component is registered.
-    pub(crate) declare:
-        Box<dyn FnOnce(&Arc<ComponentCell<C>>) -> Result<DeclaredVariable, SpecError>>,
+    pub(crate) declare: DeclareLater<C>,
 }
 
 /// Applies the policies of a component's variables, and withdraws them with it.
