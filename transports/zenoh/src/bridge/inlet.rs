@@ -85,15 +85,8 @@ impl<E: Event> InletQueue<E> {
             ));
         }
         let event: E = parsed(text)?;
-        let (mut sent, mut again) = (Vec::new(), Vec::new());
-        codec::encode(&event, &mut sent).map_err(|error| error.to_string())?;
-        // A number that is too large for an f32 comes to be infinite, which JSON cannot say.
-        let text = serde_json::to_vec(&event).map_err(|error| error.to_string())?;
-        let read = parsed::<E>(&text).map(|read| codec::encode(&read, &mut again));
-        match read.is_ok_and(|done| done.is_ok()) && again == sent {
-            true => Ok(event),
-            false => Err("a number is too large for its field".to_owned()),
-        }
+        codec::encode(&event, &mut Vec::new()).map_err(|error| error.to_string())?;
+        Ok(event)
     }
 }
 
@@ -331,15 +324,18 @@ mod tests {
         refused(&changed("/tool", json!("Griper")), "`tool`: unknown variant `Griper`");
         refused(&changed("/tool", json!("Gripper")), "`tool.Gripper`: invalid type: unit variant");
         refused(&changed("/tool", json!({ "None": 1 })), "`tool.None`: invalid type");
-        refused(&changed("/tool/Gripper/width", json!(1e300)), "a number is too large");
-        refused(&changed("/reach", json!(1e300)), "a number is too large");
+        refused(&changed("/tool/Gripper/width", json!(1e300)), "`tool.Gripper.width`: number out");
+        refused(&changed("/reach", json!(1e300)), "`reach`: number out of range");
         refused(
             &changed("/tool", json!({ "Welder": [1, 256] })),
             "`tool.Welder[1]`: invalid value",
         );
-        refused(&changed("/labels", json!({ "many": "" })), "`labels.many`: ");
-        refused(&changed("/raw", json!("abc")), r#"`raw`: invalid type: string "abc""#);
-        refused(&changed("/raw", json!("a".repeat(1000))), "`raw`: invalid type: string");
+        refused(
+            &changed("/labels", json!({ "many": "" })),
+            "`labels.?`: invalid value: expected key",
+        );
+        refused(&changed("/raw", json!(1)), "`raw`: invalid type: integer `1`");
+        refused(&changed("/load", json!("a".repeat(1000))), "`load`: invalid type: string");
         refused(&changed("/after", json!(1.5)), "`after`: invalid type");
         refused(&changed("/next/then/x", json!(-129)), "`next.then.x`: invalid value");
         refused(&changed("/next", json!({ "then": null })), "`next`: missing field `x`");
@@ -347,7 +343,7 @@ mod tests {
         refused(&changed("/next", more), "`next.y` is no field of the contract");
         refused(&changed("/raw", json!(vec![255; 300])), "more than the 256 bytes");
         let deep = "[".repeat(100_000);
-        refused(&deep, "recursion limit");
+        refused(&deep, "`[0][0]`: invalid type: sequence");
 
         let text = serde_json::to_vec(&arm()).unwrap();
         let why = queue.read("inlet/arm@2", &text).unwrap_err();
