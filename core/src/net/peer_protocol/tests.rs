@@ -627,3 +627,16 @@ fn however_many_nodes_were_met_a_further_one_has_a_session() {
     }
     assert_eq!(protocol.peers.ids().len(), PEERS_MAX);
 }
+
+#[test]
+fn a_peer_whose_session_is_open_makes_way_for_no_other() {
+    let mut protocol = PeerProtocol::new(node("base"), Incarnation(1), IDLE_TIMEOUT);
+    for number in 0..PEERS_MAX {
+        let id = protocol.meet(&node(&format!("n{number}")), 0, at(0));
+        protocol.handle_opened(id, Incarnation(1), 1, at(0));
+    }
+    let (first, new) = (protocol.peers.ids()[0], node("new"));
+    assert_eq!(protocol.expendable(&new), None);
+    protocol.handle_ended(first, &DeliveryError::Stopped);
+    assert_eq!(protocol.expendable(&new), Some(first));
+}
