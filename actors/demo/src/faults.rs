@@ -66,27 +66,24 @@ pub(crate) enum FaultMatch {
 
 /// The faults in their order.
 pub(crate) static FAULTS: [DemoFault; 10] = [
-    fault(
-        "panic",
-        (Module::Module1, "skin/17"),
-        Blow::Inject(&[Injection::Panic]),
-        FaultKind::Panic,
-    )
-    .told([
-        "A cell of the skin panics.",
-        "Its supervisor makes a new one, which takes the messages that wait.",
-        "Nothing: the cell feels again before its next round.",
-    ])
-    .paper('a', 11.1),
-    fault("hang", (Module::Module2, "laser"), Blow::Break { restarts: true }, FaultKind::Hang)
+    fault("panic", Module::Module1, "skin/17", Blow::Inject(&[Injection::Panic]), FaultKind::Panic)
         .told([
+            "A cell of the skin panics.",
+            "Its supervisor makes a new one, which takes the messages that wait.",
+            "Nothing: the cell feels again before its next round.",
+        ])
+        .paper('a', 11.1),
+    fault("hang", Module::Module2, "laser", Blow::Break { restarts: true }, FaultKind::Hang).told(
+        [
             "A handler of the laser keeps its thread for 2.5 s.",
             "The thread is abandoned; the laser and its neighbours are restarted on another one.",
             "Nothing: for half a second the robot drives on by the last sweep.",
-        ]),
+        ],
+    ),
     fault(
         "error state",
-        (Module::Module3, "motors"),
+        Module::Module3,
+        "motors",
         Blow::Break { restarts: false },
         FaultKind::ErrorState,
     )
@@ -97,7 +94,8 @@ pub(crate) static FAULTS: [DemoFault; 10] = [
     ]),
     fault(
         "failed initialisation",
-        (Module::Module1, "planner"),
+        Module::Module1,
+        "planner",
         Blow::Inject(&[Injection::FailedInitializations(1), Injection::Panic]),
         FaultKind::InitializationFailed,
     )
@@ -108,7 +106,8 @@ pub(crate) static FAULTS: [DemoFault; 10] = [
     ]),
     fault(
         "silent object",
-        (Module::Module3, "odometry"),
+        Module::Module3,
+        "odometry",
         Blow::Inject(&[Injection::Silence]),
         FaultKind::Silence,
     )
@@ -130,19 +129,20 @@ pub(crate) static FAULTS: [DemoFault; 10] = [
             "Each side works on alone, and sessions go on when the cables return.",
             "The robot stands still: without a sweep of the laser the planner gives no command.",
         ]),
-    fault("panic in the router", (Module::Module1, ""), Blow::Router, FaultKind::Panic).told([
+    fault("panic in the router", Module::Module1, "", Blow::Router, FaultKind::Panic).told([
         "The router of the middle module panics: the middleware itself breaks.",
         "The guardian makes a new one, to which links and sessions attach.",
         "Nothing: what was on its way is sent again.",
     ]),
-    fault("kill -9, rejoin", (Module::Module3, ""), Blow::Kill, FaultKind::NodeLost).told([
+    fault("kill -9, rejoin", Module::Module3, "", Blow::Kill, FaultKind::NodeLost).told([
         "The process of the base is killed.",
         "The director, whose child it is, starts it again, and it joins the robot.",
         "The robot stands still until its base is back.",
     ]),
     fault(
         "flood",
-        (Module::Module2, "operator"),
+        Module::Module2,
+        "operator",
         Blow::Flood { messages: 2_000 },
         FaultKind::Overload,
     )
@@ -156,7 +156,8 @@ pub(crate) static FAULTS: [DemoFault; 10] = [
 /// A fault in the object of this name; an empty one for what is no component.
 const fn fault(
     title: &'static str,
-    (module, object): (Module, &'static str),
+    module: Module,
+    object: &'static str,
     blow: Blow,
     kind: FaultKind,
 ) -> DemoFault {

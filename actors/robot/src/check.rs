@@ -81,11 +81,12 @@ impl<'a> RobotChecker<'a> {
         &mut self,
         code: &'static str,
         sentence: impl Into<String>,
-        (origin, part): (ElementOrigin, impl Into<ElementPart>),
+        at: (ElementOrigin, impl Into<ElementPart>),
         help: impl Into<String>,
         label: &str,
     ) {
-        let place = self.places.find(origin, &part.into()).map(|place| (place, label.to_owned()));
+        let (origin, part) = (at.0, at.1.into());
+        let place = self.places.find(origin, &part).map(|place| (place, label.to_owned()));
         let (sentence, help) = (sentence.into(), help.into());
         self.add(RobotFinding { code, sentence, help, labels: place.into_iter().collect() });
     }
@@ -233,7 +234,9 @@ impl<'a> RobotChecker<'a> {
         &mut self,
         node: &'a NodeDescription,
         error: StartError,
-        (code, place, help): (&'static str, (ElementOrigin, &str), &str),
+        code: &'static str,
+        at: (ElementOrigin, &str),
+        help: &str,
     ) {
         let text = error.to_string();
         let sentence = text.lines().next().unwrap_or_default().to_owned();
@@ -285,8 +288,8 @@ impl<'a> RobotChecker<'a> {
                 ("robot::setting", at, sentence.to_owned(), help.to_owned())
             }
             StartError::Spec(SpecError::ActuatorSettings { name, contract, field, why }) => {
-                let settings = (&*contract, field.as_deref());
-                let (sentence, part, help) = self.actuator(node, name.as_str(), settings, &why);
+                let (sentence, part, help) =
+                    self.actuator(node, name.as_str(), &contract, field.as_deref(), &why);
                 ("robot::actuator", (origin_of(name.as_str()), part), sentence, help)
             }
             StartError::Spec(SpecError::Ports { name, .. }) => {
@@ -331,7 +334,7 @@ impl<'a> RobotChecker<'a> {
                 let at = at.unwrap_or((node.origin, "name".into()));
                 ("robot::lost", at, format!("of `{policy}`, {reason}"), "correct it".to_owned())
             }
-            _ => (code, (place.0, place.1.into()), sentence, help.to_owned()),
+            _ => (code, (at.0, at.1.into()), sentence, help.to_owned()),
         };
         self.find(code, sentence, at, help, "here");
     }
@@ -379,7 +382,8 @@ impl<'a> RobotChecker<'a> {
         &self,
         node: &NodeDescription,
         name: &str,
-        (contract, field): (&str, Option<&str>),
+        contract: &str,
+        field: Option<&str>,
         why: &str,
     ) -> (String, ElementPart, String) {
         let components = node.components();
@@ -475,7 +479,7 @@ impl<'a> RobotChecker<'a> {
         let network = end_of(described, end);
         let network = if has_keys { network.insecure() } else { network };
         for error in Node::builder(&node.name).network(network).check() {
-            self.refused(node, error, (code, at, MEDIA));
+            self.refused(node, error, code, at, MEDIA);
         }
         if has_keys && described.insecure {
             let sentence =
@@ -527,7 +531,7 @@ impl<'a> RobotChecker<'a> {
             match self.types.node(&robot, &node.name) {
                 Ok(builder) => builder.check().into_iter().for_each(|error| {
                     let help = "change the description of the node";
-                    self.refused(node, error, ("robot::node", at, help));
+                    self.refused(node, error, "robot::node", at, help);
                 }),
                 Err(error) => self.find("robot::node", error, at, "", ""),
             }

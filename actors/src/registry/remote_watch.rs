@@ -132,7 +132,7 @@ pub(crate) fn follow(
         };
         let opening = || registry.opening(&node);
         match sender {
-            Ok(sender) => ask_on(&sender, (&object, after), down, lost, opening).await,
+            Ok(sender) => ask_on(&sender, &object, after, down, lost, opening).await,
             // This node has no network.
             Err(why) => lost(why.to_string()),
         }
@@ -141,7 +141,8 @@ pub(crate) fn follow(
 
 async fn ask_on<O: Future<Output = ()>>(
     sender: &Sender<AwaitEnd>,
-    (object, mut after): (&ObjectName, EndsAfter),
+    object: &ObjectName,
+    mut after: EndsAfter,
     down: impl Fn(LastEnd),
     lost: impl Fn(String),
     opening: impl Fn() -> O,
@@ -210,7 +211,7 @@ pub(crate) fn serve(registry: &Registry) -> DeathWatchService {
     let service = DeathWatchService::new(registry);
     let service_fn = service.clone();
     let serve = move |AwaitEnd { object, after }, by, responder| {
-        service_fn.serve(object, after, (by, responder));
+        service_fn.serve(object, after, by, responder);
     };
     let object = ObjectName::new(OBJECT).expect("a name of letters");
     registry.register_hidden(
@@ -272,7 +273,8 @@ impl DeathWatchService {
         &self,
         object: ObjectName,
         after: EndsAfter,
-        (by, responder): (MessageOrigin, Responder<AwaitEnd>),
+        by: MessageOrigin,
+        responder: Responder<AwaitEnd>,
     ) {
         let questions = lock(&self.questions);
         let opening = questions.openings.get(&by).copied();
@@ -409,7 +411,7 @@ mod tests {
         );
         let by = MessageOrigin { peer: Some(NodeId::of(&NodeName::new(by).unwrap())) };
         let arm = ObjectName::new("arm").unwrap();
-        service.serve(arm, after, (by, responder));
+        service.serve(arm, after, by, responder);
         answered
     }
 

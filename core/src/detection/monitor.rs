@@ -252,7 +252,7 @@ impl Monitor {
 
     /// A fault was not declared again within its hold: it is over, unless its object is kept from
     /// declaring it, or has begun another incarnation meanwhile.
-    fn end_hold(&mut self, (object, kind): (ObjectName, FaultKind), now: Instant) {
+    fn end_hold(&mut self, object: ObjectName, kind: FaultKind, now: Instant) {
         let cause = NoteCause::Declared(kind.clone());
         let entry = self.objects.get_mut(&object).filter(|entry| entry.noted(&cause).is_some());
         let hold = self.holds.remove(&(object.clone(), kind.clone()));
@@ -396,10 +396,10 @@ impl Machine for Monitor {
     }
 
     fn handle_timeout(&mut self, now: Instant) {
-        while let Some((due, key)) = self.next_hold()
+        while let Some((due, (object, kind))) = self.next_hold()
             && due <= now
         {
-            self.end_hold(key.clone(), now);
+            self.end_hold(object.clone(), kind.clone(), now);
         }
     }
 }

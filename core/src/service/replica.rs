@@ -201,6 +201,15 @@ impl Replica {
         self.refused += 1;
     }
 
+    /// Declares that the service has no primary, or updates the causes, if that is due.
+    fn report_outage(&mut self, now: Instant) {
+        if self.outage.due(&self.config).is_some_and(|due| now >= due) {
+            self.outage.described_at = Some(now);
+            let detail = format!("no primary is known here: {}", outage::causes(self, now));
+            self.set_fault(FaultKind::ServiceUnavailable, Some(detail));
+        }
+    }
+
     /// The services that this one depends on have primaries: this replica may stand for election,
     /// if it still has to.
     pub fn handle_ready(&mut self, now: Instant) {

@@ -117,7 +117,8 @@ impl ZenohNetwork {
     fn send(
         &self,
         task: &mut Context<'_>,
-        (to, frame): (&MediumAddress, &Bytes),
+        to: &MediumAddress,
+        frame: &Bytes,
         outgoing: impl Fn(&mut Shared) -> &mut Outgoing,
     ) -> Poll<io::Result<SendResult>> {
         let end = self.end()?;
@@ -183,7 +184,7 @@ impl FrameMedium for ZenohNetwork {
         to: &MediumAddress,
         frame: &Bytes,
     ) -> Poll<io::Result<SendResult>> {
-        self.send(task, (to, frame), |shared| &mut shared.usual)
+        self.send(task, to, frame, |shared| &mut shared.usual)
     }
 
     fn poll_send_urgent(
@@ -192,7 +193,7 @@ impl FrameMedium for ZenohNetwork {
         to: &MediumAddress,
         frame: &Bytes,
     ) -> Poll<io::Result<SendResult>> {
-        self.send(task, (to, frame), |shared| &mut shared.urgent)
+        self.send(task, to, frame, |shared| &mut shared.urgent)
     }
 
     fn poll_receive(&mut self, task: &mut Context<'_>) -> Poll<io::Result<MediumEvent>> {
@@ -301,7 +302,8 @@ impl End {
 }
 
 /// What the thread of Zenoh does, until the end is closed.
-async fn run(config: Config, Place { namespace, name }: Place, end: Arc<End>) {
+async fn run(config: Config, place: Place, end: Arc<End>) {
+    let Place { namespace, name } = &place;
     let closed = async {
         while !end.lock().is_closed {
             end.closed.notified().await;
@@ -331,10 +333,9 @@ async fn run(config: Config, Place { namespace, name }: Place, end: Arc<End>) {
         Err(error) => return end.fail(unopened(&error)),
     };
     end.tell(|shared| shared.is_open = true);
-    let keys = (namespace.as_str(), name.as_str());
     tokio::select! {
-        () = send(&end, &session, keys, Lane::URGENT) => {}
-        () = send(&end, &session, keys, Lane::USUAL) => {}
+        () = send(&end, &session, &place, Lane::URGENT) => {}
+        () = send(&end, &session, &place, Lane::USUAL) => {}
         () = closed => {}
     }
     // What fails here is over all the same.
@@ -367,7 +368,7 @@ impl Lane {
 }
 
 /// Hands the frames of one queue to Zenoh, for ever.
-async fn send(end: &End, session: &Session, (namespace, own): (&str, &str), lane: Lane) {
+async fn send(end: &End, session: &Session, place: &Place, lane: Lane) {
     let more = (lane.queue)(&mut end.lock()).more.clone();
     loop {
         let next = {
@@ -384,7 +385,7 @@ async fn send(end: &End, session: &Session, (namespace, own): (&str, &str), lane
             continue;
         };
         let put = session
-            .put(format!("{namespace}/{to}/{own}"), ZBytes::from(frame))
+            .put(format!("{}/{to}/{}", place.namespace, place.name), ZBytes::from(frame))
             .priority(lane.priority)
             .congestion_control(lane.congestion)
             .express(lane.express);

@@ -43,13 +43,14 @@ impl ComponentEntry {
     pub(super) fn wake(
         &mut self,
         reading: ComponentSample,
-        at: (Instant, Duration),
+        now: Instant,
+        blind: Duration,
     ) -> &mut ComponentRecord {
         if let ComponentEntry::Resting { judged, mark } = self {
             let ActivityMark { turn, incarnation, expired } = *mark;
             let before = ComponentSample { turn, incarnation, expired, ..reading };
-            let fresh = ComponentRecord::new(judged.clone(), at.0);
-            let lateness = Lateness::new(at, &before);
+            let fresh = ComponentRecord::new(judged.clone(), now);
+            let lateness = Lateness::new(now, blind, &before);
             let component = ComponentRecord { reading: Some(before), lateness, ..fresh };
             *self = ComponentEntry::Awake(Box::new(component));
         }

@@ -52,7 +52,7 @@ struct Window {
 }
 
 impl Window {
-    fn new((since, blind): (Instant, Duration), reading: &ComponentSample) -> Self {
+    fn new(since: Instant, blind: Duration, reading: &ComponentSample) -> Self {
         let ComponentSample { ticks, missed_ticks, expired, .. } = *reading;
         Window { since, blind, ticks, missed_ticks, expired }
     }
@@ -60,8 +60,8 @@ impl Window {
 
 impl Lateness {
     /// Nothing is late, and what has been counted is known.
-    pub(super) fn new(at: (Instant, Duration), reading: &ComponentSample) -> Self {
-        Lateness { window: Some(Window::new(at, reading)), ..Lateness::default() }
+    pub(super) fn new(now: Instant, blind: Duration, reading: &ComponentSample) -> Self {
+        Lateness { window: Some(Window::new(now, blind, reading)), ..Lateness::default() }
     }
 
     /// The latest window has missed rounds, or ticks of timers.
@@ -88,9 +88,10 @@ impl Lateness {
         limits: &HangLimits,
         reading: &ComponentSample,
         root: Option<OverloadRoot>,
-        at @ (now, blind): (Instant, Duration),
+        now: Instant,
+        blind: Duration,
     ) -> Option<Counts> {
-        let next = Window::new(at, reading);
+        let next = Window::new(now, blind, reading);
         let window = *self.window.get_or_insert(next);
         let missed = next.missed_ticks.saturating_sub(window.missed_ticks);
         let due = missed + u64::from(next.ticks.wrapping_sub(window.ticks));

@@ -115,8 +115,8 @@ impl ComponentRecord {
         let slot = around.slot;
         let max_delay = self.lateness.max_delay(&self.judged.limits);
         let root = if around.is_busy { around.kept_by(WINDOW) } else { None };
-        let at = (now, around.missed);
-        let counts = self.lateness.handle_counts(&self.judged.limits, &reading, root, at);
+        let limits = &self.judged.limits;
+        let counts = self.lateness.handle_counts(limits, &reading, root, now, around.missed);
         // One that is silent does nothing, which is another fault.
         let counts = counts.filter(|_| self.silence != Silence::Reported);
         let looks = turned || reading.turn % 2 == 1 || around.is_busy;
@@ -161,9 +161,9 @@ impl HangDetector {
     }
 
     fn blame_component(&mut self, slot: SlotId, late: &[Late], looked: &impl Looked, now: Instant) {
-        let at = (now, self.missed());
+        let missed = self.missed();
         let Some(root) = self.components.get_mut(slot) else { return };
-        let root = root.wake(looked.activity(slot), at);
+        let root = root.wake(looked.activity(slot), now, missed);
         let Some(reading) = root.reading else { return };
         let episode = root.overload.get_or_insert_with(|| Episode::new(now));
         let victims = late.iter().map(|late| late.slot).filter(|one| *one != slot);

@@ -343,7 +343,7 @@ impl HangDetector {
             {
                 continue;
             }
-            let component = watched.wake(looked.activity(slot), (now, missed));
+            let component = watched.wake(looked.activity(slot), now, missed);
             let around = Around { slot, arbiter: arbiters.get(&id), is_busy, missed };
             component.handle(&around, looked, now, outputs, &mut late, &mut silent);
             watched.settle(now);
@@ -446,7 +446,7 @@ impl ComponentRecord {
         let waited = starved.saturating_sub(std::mem::replace(&mut self.starved, starved));
         let Some(before) = before.filter(|before| before.incarnation == reading.incarnation) else {
             let fresh = ComponentRecord::new(self.judged.clone(), now);
-            let lateness = Lateness::new((now, around.missed), &reading);
+            let lateness = Lateness::new(now, around.missed, &reading);
             *self = ComponentRecord { reading: Some(reading), beat, starved, lateness, ..fresh };
             return;
         };

@@ -54,80 +54,70 @@ impl Outage {
     }
 }
 
-impl Replica {
-    /// Declares that the service has no primary, or updates the causes, if that is due.
-    pub(super) fn report_outage(&mut self, now: Instant) {
-        if self.outage.due(&self.config).is_some_and(|due| now >= due) {
-            self.outage.described_at = Some(now);
-            let detail = format!("no primary is known here: {}", self.outage_causes(now));
-            self.set_fault(FaultKind::ServiceUnavailable, Some(detail));
+/// Returns why a replica knows of no primary, as far as it knows itself.
+pub(super) fn causes(replica: &Replica, now: Instant) -> String {
+    let mut causes = Vec::new();
+    if replica.component.health == Health::Inactive {
+        let rests = "its component here accepts no jobs, as it is stopped or isolated, or its node \
+                     is at rest (bring it back)";
+        causes.push(rests.to_owned());
+    }
+    let (mut available, mut differing, mut unreachable, mut absent) = (1, vec![], vec![], vec![]);
+    for (node, known) in &replica.agreement.known {
+        let is_member = replica.config.members.contains(node);
+        match known.comparison {
+            ConfigComparison::Differs { .. } => differing.push(node.as_str()),
+            _ if !is_member => {}
+            ConfigComparison::Absent { confirmed: true } => absent.push(node.as_str()),
+            _ if known.seen => available += 1,
+            _ => unreachable.push(node.as_str()),
         }
     }
-
-    fn outage_causes(&self, now: Instant) -> String {
-        let mut causes = Vec::new();
-        if self.component.health == Health::Inactive {
-            causes.push(
-                "its component here accepts no jobs, as it is stopped or isolated, or its node is at rest (bring it \
-                 back)"
-                    .to_owned(),
-            );
-        }
-        let (mut available, mut differing, mut unreachable, mut absent) =
-            (1, vec![], vec![], vec![]);
-        for (node, known) in &self.agreement.known {
-            let is_member = self.config.members.contains(node);
-            match known.comparison {
-                ConfigComparison::Differs { .. } => differing.push(node.as_str()),
-                _ if !is_member => {}
-                ConfigComparison::Absent { confirmed: true } => absent.push(node.as_str()),
-                _ if known.seen => available += 1,
-                _ => unreachable.push(node.as_str()),
-            }
-        }
-        differing.truncate(NAMED_MAX);
-        causes.extend(describe_lists([(
-            "nodes with another configuration of it",
-            differing,
-            "the fault contract mismatch, B10, says what to write",
-        )]));
-        let (members, majority) = (self.config.members.len(), self.config.majority());
-        if self.config.on_partition == OnPartition::Stop && available < majority {
-            causes.push(format!(
-                "there is no majority: it needs {majority} of its {members} nodes, and has {available}"
-            ));
-            causes.extend(describe_lists([
-                (
-                    "not reachable",
-                    unreachable,
-                    "start them, repair the path to them, or admit them if they are isolated here",
-                ),
-                ("without this service", absent, "add it there, or remove them from all lists"),
-            ]));
-        }
-        if causes.is_empty() {
-            causes.push(self.describe_election(now));
-        }
-        causes.join("; ")
+    differing.truncate(NAMED_MAX);
+    causes.extend(describe_lists([(
+        "nodes with another configuration of it",
+        differing,
+        "the fault contract mismatch, B10, says what to write",
+    )]));
+    let (members, majority) = (replica.config.members.len(), replica.config.majority());
+    if replica.config.on_partition == OnPartition::Stop && available < majority {
+        causes.push(format!(
+            "there is no majority: it needs {majority} of its {members} nodes, and has {available}"
+        ));
+        causes.extend(describe_lists([
+            (
+                "not reachable",
+                unreachable,
+                "start them, repair the path to them, or admit them if they are isolated here",
+            ),
+            ("without this service", absent, "add it there, or remove them from all lists"),
+        ]));
     }
+    if causes.is_empty() {
+        causes.push(describe_election(replica, now));
+    }
+    causes.join("; ")
+}
 
-    /// Returns why the reachable members have elected no primary.
-    fn describe_election(&self, now: Instant) -> String {
-        let timeout = self.config.state_timeout();
-        match &self.role {
-            RoleState::Standby(Standby { checking_dependencies: true, .. }) => {
-                "it waits for the services that it depends on, which have no primary either (see their faults)"
-                    .to_owned()
-            }
-            _ if self.waiting_since().is_some_and(|since| now < since + timeout) => format!(
-                "this node lacks the state, and waits {:.1} s for a node that has it before it starts without it",
-                timeout.as_secs_f64()
-            ),
-            _ => format!(
-                "its nodes have not elected a primary yet (their components may be at rest, they may know of a newer \
-                 state, or their messages may take longer than the heartbeat interval, {:?})",
-                self.config.heartbeat_interval
-            ),
+/// Returns why the reachable members have elected no primary.
+fn describe_election(replica: &Replica, now: Instant) -> String {
+    let timeout = replica.config.state_timeout();
+    match &replica.role {
+        RoleState::Standby(Standby { checking_dependencies: true, .. }) => {
+            "it waits for the services that it depends on, which have no primary either (see their \
+             faults)"
+                .to_owned()
         }
+        _ if replica.waiting_since().is_some_and(|since| now < since + timeout) => format!(
+            "this node lacks the state, and waits {:.1} s for a node that has it before it starts \
+             without it",
+            timeout.as_secs_f64()
+        ),
+        _ => format!(
+            "its nodes have not elected a primary yet (their components may be at rest, they may \
+             know of a newer state, or their messages may take longer than the heartbeat interval, \
+             {:?})",
+            replica.config.heartbeat_interval
+        ),
     }
 }

@@ -96,7 +96,6 @@ impl<'a> Builder<'a> {
         let hooks = self.hooks(element, board);
         self.tree.nodes.push(TreeNode {
             kind,
-            is_decorator: kind.children() == (1..=1),
             first_binding,
             board,
             hooks,

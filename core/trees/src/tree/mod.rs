@@ -83,7 +83,6 @@ struct ChangeLog {
 #[derive(Debug, Default)]
 pub(crate) struct TreeNode {
     pub(crate) kind: Kind,
-    pub(crate) is_decorator: bool,
     pub(crate) status: Status,
     /// The last answer.
     pub(crate) answer: Status,
@@ -413,7 +412,7 @@ impl Tree {
             self.node_mut(id).status = status;
         }
         self.note(id, status);
-        if self.node(id).is_decorator {
+        if self.node(id).kind.children() == (1..=1) {
             let child = self.child(id, 0);
             if self.node(child).status.is_completed() {
                 self.node_mut(child).status = Status::Idle;

@@ -36,7 +36,7 @@ impl BridgedContract {
         let identity = ContractIdentity::of::<E>();
         let layout = LayoutDescription::of_message((identity.message)());
         schema::check(&layout).map_err(|why| format!("{} as JSON: {why}", E::NAME))?;
-        let schema = schema::of(&identity, &layout, (E::MAX_SIZE, E::LATCHED));
+        let schema = schema::of(&identity, &layout, E::MAX_SIZE, E::LATCHED);
         let tag = format!("{}@{}", identity.name, identity.version);
         Ok(BridgedContract { tag, schema: schema.to_string().into_bytes() })
     }

@@ -11,7 +11,8 @@ use serde_json::{Map, Value, json};
 pub(super) fn of(
     identity: &ContractIdentity,
     layout: &LayoutDescription,
-    (max_size, latched): (usize, bool),
+    max_size: usize,
+    latched: bool,
 ) -> Value {
     let types = layout.types();
     let mut schema = Map::new();
