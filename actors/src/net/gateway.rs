@@ -335,13 +335,17 @@ impl ObjectGateway {
 
     /// Makes the row of a node. Where the table is full, another one is forgotten.
     fn meet(&mut self, node: &NodeName) -> NodeId {
-        if let Some(gone) = self.exchange.expendable(node) {
-            let known = self.exchange.peers.get_mut(gone);
-            let held = known.map(|known| known.session.take_unacknowledged());
-            self.discard(gone, held.unwrap_or_default());
+        if let Some(gone) = self.exchange.expendable(node)
+            && let Some(known) = self.exchange.peers.get_mut(gone)
+        {
+            let (name, held) = (known.node.clone(), known.session.take_unacknowledged());
+            self.discard(gone, held);
             self.carry_out_all();
             self.forget_past(gone);
             self.sessions.forget(gone);
+            self.queues.complaints.forget(&gone);
+            self.wiring.deaths.forget(gone);
+            self.wiring.stubs.forget(&name);
             if self.exchange.forget(gone) {
                 self.forget_differences();
             }

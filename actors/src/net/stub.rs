@@ -290,7 +290,15 @@ impl PeerStubs {
         met.map(|(node, _)| node.clone()).collect()
     }
 
-    /// As many as nodes that this program has named, or met.
+    /// A peer is forgotten: so is how sending to it stands, unless something here sends to it.
+    pub(super) fn forget(&self, node: &NodeName) {
+        let mut send_states = self.lock();
+        if send_states.get(node).is_some_and(|send_state| Arc::strong_count(send_state) == 1) {
+            send_states.remove(node);
+        }
+    }
+
+    /// As many as nodes that this program has named, or met and not forgotten.
     pub(super) fn send_state(&self, node: &NodeName) -> Arc<PeerSendState> {
         let mut send_states = self.lock();
         let send_state = send_states.entry(node.clone()).or_insert_with(|| {
@@ -399,6 +407,18 @@ mod tests {
         let send_state = PeerStubs::new().send_state(&name("module2"));
         send_state.begin();
         (send_state, ObjectName::new("arm").unwrap())
+    }
+
+    #[test]
+    fn a_forgotten_peer_is_kept_only_while_something_sends_to_it() {
+        let (stubs, node) = (PeerStubs::new(), NodeName::new("module2").unwrap());
+        let held = stubs.send_state(&node);
+        held.path_found(true);
+        stubs.forget(&node);
+        assert!(stubs.has_met(&node));
+        drop(held);
+        stubs.forget(&node);
+        assert!(!stubs.has_met(&node));
     }
 
     #[test]

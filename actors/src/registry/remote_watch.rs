@@ -264,6 +264,11 @@ impl DeathWatchService {
             .insert(MessageOrigin { peer: Some(peer) }, last_end_number());
     }
 
+    /// The session with this node is over, and nothing else is known of it.
+    pub(crate) fn forget(&self, peer: NodeId) {
+        lock(&self.questions).openings.remove(&MessageOrigin { peer: Some(peer) });
+    }
+
     /// This node begins to end in order.
     pub(crate) fn handle_leaving(&self) {
         lock(&self.questions).last.get_or_insert_with(last_end_number);
