@@ -1,21 +1,20 @@
 //! The actor of the directory.
 
 use crate::directory::{ClaimCommand, ClaimState, DirectoryTable};
-use crate::net::fault_reporter::FaultReporter;
 use crate::platform;
 use crate::registry::Registry;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::{Guardian, answers_the_monitor};
+use crate::runtime::reports::{FaultReporter, FaultReports};
 use crate::topic::{TopicKey, Topics};
 use actix::prelude::*;
-use blastema_contract::reports::{AreYouAlive, DeclaredFaultCleared, FaultDeclared};
+use blastema_contract::reports::AreYouAlive;
 use blastema_contract::router::InjectPanic;
 use blastema_contract::session::{DirectoryReport, SendToDirectory};
 use blastema_core::directory::{
     ClaimRefused, ClaimRequest, Directory, DirectoryConfig, DirectoryKey, DirectoryOutput,
     NameHeld, UnmetClaims,
 };
-use blastema_core::net::Refusals;
 use blastema_core::net::refusal_alarms::RefusalAlarms;
 use blastema_core::net::trust::access::AccessPolicy;
 use blastema_core::sorted::SortedMap;
@@ -47,8 +46,7 @@ pub(crate) struct DirectorySetup {
     pub(crate) registry: Registry,
     pub(crate) topics: Topics,
     pub(crate) names: DirectoryTable,
-    pub(crate) faults: Option<Recipient<FaultDeclared>>,
-    pub(crate) cleared: Option<Recipient<DeclaredFaultCleared>>,
+    pub(crate) reports: FaultReports,
 }
 
 /// A name that is claimed here.
@@ -104,7 +102,7 @@ impl DirectoryActor {
             own: SortedMap::new(),
             forbidden: SortedMap::new(),
             complaints: RefusalAlarms::default(),
-            faults: FaultReporter::of("directory", setup.faults.clone(), setup.cleared.clone()),
+            faults: FaultReporter::new(crate::net::named("directory"), setup.reports.clone()),
             without: UnmetClaims::default(),
             reported_conflict: None,
             revisions: None,
@@ -222,15 +220,14 @@ impl DirectoryActor {
 
     /// Raises an alarm for a node whose messages are refused for seconds.
     fn look_at_refusals(&mut self) {
-        let looks: Vec<(NodeName, Refusals)> = self.setup.names.read(|machine| {
-            machine.refusals().map(|(node, refusals)| (node.clone(), refusals)).collect()
+        let complaints = &mut self.complaints;
+        let alarms = self.setup.names.read(|machine| {
+            let refusals = machine.refusals().map(|(node, refusals)| (node.clone(), refusals));
+            complaints.handle_look(refusals)
         });
-        for (node, refusals) in looks {
-            if let Some(since) = self.complaints.handle_look(node.clone(), refusals) {
-                let detail =
-                    format!("what {node} says that it has is refused all the time: {since}");
-                self.faults.declare_passing(FaultKind::CheckFailed, detail);
-            }
+        for (node, since) in alarms {
+            let detail = format!("what {node} says that it has is refused all the time: {since}");
+            self.faults.declare_passing(FaultKind::CheckFailed, detail);
         }
     }
 }
@@ -424,7 +421,7 @@ mod tests {
     use crate::directory::Claim;
     use crate::messaging::dead_letters::DeadLetterLog;
     use crate::registry::remote::NameResolver;
-    use crate::runtime::reports::FaultReports;
+    use blastema_contract::reports::{DeclaredFaultCleared, FaultDeclared};
     use blastema_core::Machine;
     use blastema_core::directory::ClaimPolicy;
     use blastema_doubles::{Probe, advance, settle};
@@ -443,8 +440,7 @@ mod tests {
             registry: Registry::default(),
             topics: Topics::new(DeadLetterLog::default(), FaultReports::default()),
             names: names.clone(),
-            faults: None,
-            cleared: None,
+            reports: FaultReports::default(),
         }
     }
 
@@ -453,8 +449,9 @@ mod tests {
         let (declared, cleared) =
             (Probe::<FaultDeclared>::start(), Probe::<DeclaredFaultCleared>::start());
         let (faults, over) = (Some(declared.recipient()), Some(cleared.recipient()));
+        let reports = FaultReports { faults, cleared: over, ..FaultReports::default() };
         let names = DirectoryTable::default();
-        let setup = DirectorySetup { faults, cleared: over, ..setup(&names) };
+        let setup = DirectorySetup { reports, ..setup(&names) };
         let _ports = DirectoryActor::start(setup, &Guardian::default(), None);
         let claim = Claim::make(&names, wanted()).await.unwrap();
 
@@ -475,7 +472,9 @@ mod tests {
     async fn that_a_component_goes_without_its_name_is_over_when_it_is_removed() {
         let cleared = Probe::<DeclaredFaultCleared>::start();
         let names = DirectoryTable::default();
-        let setup = DirectorySetup { cleared: Some(cleared.recipient()), ..setup(&names) };
+        let over = Some(cleared.recipient());
+        let reports = FaultReports { cleared: over, ..FaultReports::default() };
+        let setup = DirectorySetup { reports, ..setup(&names) };
         let _ports = DirectoryActor::start(setup, &Guardian::default(), None);
         let _claim = Claim::make(&names, wanted()).await.unwrap();
         drop(names.claim(wanted(), 98, true));

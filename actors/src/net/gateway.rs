@@ -9,7 +9,6 @@ mod undelivered;
 pub(super) use local::LocalInput;
 
 use super::NetEnvironment;
-use super::fault_reporter::FaultReporter;
 use super::gateway_messages::SendToPeer;
 use super::keys::NodeKeys;
 use super::roster_watch::{RosterOffer, RosterWatch};
@@ -20,6 +19,7 @@ use crate::platform;
 use crate::platform::panics;
 use crate::registry::remote_watch::DeathWatchService;
 use crate::registry::{MessageMetadata, Registry, ReplyTo};
+use crate::runtime::reports::FaultReporter;
 use crate::topic::{TopicKey, Topics};
 use actix::prelude::*;
 use blastema_contract::monitor::NodeReported;
@@ -342,8 +342,6 @@ impl ObjectGateway {
             self.discard(gone, held);
             self.carry_out_all();
             self.forget_past(gone);
-            self.sessions.forget(gone);
-            self.queues.complaints.forget(&gone);
             self.wiring.deaths.forget(gone);
             self.wiring.stubs.forget(&name);
             if self.exchange.forget(gone) {

@@ -10,13 +10,13 @@ use discovered::NetworkDiscovery;
 use fault_reports::NamesTaken;
 
 use super::LinkSpec;
-use super::fault_reporter::FaultReporter;
 use super::keys::{NodeKeys, SealTerms};
 use super::own_name::OwnName;
 use super::roster_watch::RosterChanged;
 use crate::platform;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::answers_the_monitor;
+use crate::runtime::reports::FaultReporter;
 use actix::prelude::*;
 use blastema_contract::link::{
     CarrierChanged, LinkChanged, LinkPayload, LinkRow, LinkSeal, ReadLinks, ReceivedOnLink,

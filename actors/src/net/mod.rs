@@ -19,8 +19,7 @@
 mod carrier;
 mod credit;
 mod fault_forwarding;
-pub(crate) mod fault_reporter;
-mod gateway;
+pub(crate) mod gateway;
 mod gateway_messages;
 pub(crate) mod keys;
 mod links;
@@ -40,7 +39,6 @@ pub use keys::RosterRow;
 pub(crate) use links::DiscoverySpec;
 
 use self::fault_forwarding::RemoteRecoverer;
-use self::fault_reporter::FaultReporter;
 use self::gateway::LocalInput;
 use self::own_name::OwnName;
 use crate::messaging::dead_letters::DeadLetterLog;
@@ -49,6 +47,7 @@ use crate::registry::Registry;
 use crate::registry::remote::StubFactory;
 use crate::registry::remote_watch::{self, DeathWatchService};
 use crate::runtime::guardian::Guardian;
+use crate::runtime::reports::{FaultReporter, FaultReports};
 use crate::topic::Topics;
 use actix::prelude::*;
 use actix_rt::ArbiterHandle;
@@ -56,9 +55,7 @@ use blastema_contract::link::{AddLinks, LinkRow, ReadLinks};
 use blastema_contract::monitor::{LinkReported, NodeReported};
 use blastema_contract::recoverer::Recover;
 use blastema_contract::recoverer::SafeStateChanged;
-use blastema_contract::reports::{
-    AreYouAlive, DeclaredFaultCleared, FaultDeclared, LivenessReported,
-};
+use blastema_contract::reports::{AreYouAlive, LivenessReported};
 use blastema_contract::router::{InjectPanic, ReadRoutes, Routes};
 use blastema_contract::session::{DirectoryReport, ReadSessions, SendToDirectory, SessionRow};
 use blastema_contract::strategy::{IsolateNode, Reroute};
@@ -162,9 +159,7 @@ pub(crate) struct NetReports {
     /// Is told how nodes are.
     pub(crate) nodes: Option<Recipient<NodeReported>>,
     /// Is told of faults that are found in what other nodes send.
-    pub(crate) faults: Option<Recipient<FaultDeclared>>,
-    /// Is told of those that are over.
-    pub(crate) cleared: Option<Recipient<DeclaredFaultCleared>>,
+    pub(crate) declared: FaultReports,
 }
 
 /// Between the network and the directory of a node.
@@ -178,8 +173,7 @@ pub(crate) struct DirectoryLine {
 
 impl NetEnvironment {
     fn own_faults(&self, object: &str) -> FaultReporter {
-        let NetReports { faults, cleared, .. } = self.reports.clone();
-        FaultReporter::of(object, faults, cleared)
+        FaultReporter::new(named(object), self.reports.declared.clone())
     }
 }
 

@@ -5,11 +5,11 @@
 //! its links, one that is new gets keys. One that came from another node replaces the file. A file
 //! that is refused is logged, and the node goes on with the roster that it has.
 
-use super::fault_reporter::FaultReporter;
 use super::keys::{NodeKeys, RefusalKind, RosterRefusal};
 use crate::platform;
 use crate::platform::key_files::FileStamp;
 use crate::platform::replace_file::replace_file;
+use crate::runtime::reports::FaultReporter;
 use actix::prelude::*;
 use blastema_core::{FaultKind, NodeName};
 use std::sync::Arc;
@@ -185,6 +185,7 @@ impl RosterFile {
 mod tests {
     use super::*;
     use crate::net::keys::tests::written;
+    use crate::runtime::reports::FaultReports;
     use std::fs;
 
     #[test]
@@ -192,7 +193,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let keys = Arc::new(written(folder.path()));
         let path = keys.roster_path().to_owned();
-        let faults = FaultReporter::of("roster", None, None);
+        let faults = FaultReporter::new(crate::net::named("roster"), FaultReports::default());
         let mut file = RosterFile { keys, stamp: None, refused: None, faults };
         assert!(file.look().is_none() && file.refused.is_none(), "it is the one that is known");
 

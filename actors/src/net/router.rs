@@ -1,9 +1,9 @@
 //! The router of this node, for the network's stack.
 
-use super::fault_reporter::FaultReporter;
 use super::keys::{NodeKeys, RosterRow};
 use super::own_name::OwnName;
 use crate::platform;
+use crate::runtime::reports::FaultReporter;
 use actix::prelude::*;
 use blastema_contract::link::{AddLinks, LinkChanged, LinkPayload, TransmitOnLink};
 use blastema_contract::monitor::NodeReported;

@@ -1,7 +1,7 @@
 //! Looks at the sessions with all other nodes: what they refuse, and how much they carry.
 
-use super::fault_reporter::FaultReporter;
 use crate::platform;
+use crate::runtime::reports::FaultReporter;
 use actix::prelude::*;
 use blastema_contract::monitor::NodeReported;
 use blastema_core::detection::NodeCondition;
@@ -20,11 +20,6 @@ pub(super) struct SessionWatch {
 }
 
 impl SessionWatch {
-    /// The sessions with this peer are forgotten.
-    pub(super) fn forget(&mut self, peer: NodeId) {
-        self.complaints.forget(&Some(peer));
-    }
-
     /// Raises an alarm for a peer whose packets are refused for seconds.
     pub(super) fn look_at_refusals(
         &mut self,
@@ -32,27 +27,26 @@ impl SessionWatch {
         faults: &FaultReporter,
         nodes: Option<&Recipient<NodeReported>>,
     ) {
-        // Says whether the peer is to blame.
-        let mut look = |peer, refusals, name: &str, relayed: bool| {
-            let Some(since) = self.complaints.handle_look(peer, refusals) else { return false };
+        let looks = peers.iter().map(|(id, peer)| (Some(id), peer.session.refusals()));
+        for (id, since) in self.complaints.handle_look(looks.chain([(None, self.strangers)])) {
+            let peer = id.and_then(|id| peers.get(id));
+            let name = peer.map_or("nodes that no route leads to", |peer| peer.node.as_str());
             let detail = format!("what comes from {name} is refused all the time: {since}");
             warn!("{detail}");
             faults.declare_passing(FaultKind::CheckFailed, detail);
             // Nodes on the path may send in another's name. Over its own links it is itself, unless
             // an attacker replays its packets there.
-            !relayed && since.of_the_present() >= MANY
-        };
-        look(None, self.strangers, "nodes that no route leads to", true);
-        for (id, peer) in peers.iter_mut() {
-            let relayed = std::mem::take(&mut peer.relayed);
-            let its_own = look(Some(id), peer.session.refusals(), peer.node.as_str(), relayed);
-            if let (Some(nodes), true) = (nodes, its_own) {
+            if let (Some(nodes), Some(peer)) = (nodes, peer)
+                && !peer.relayed
+                && since.of_the_present() >= MANY
+            {
                 let what = "it sent for seconds what had to be refused".to_owned();
                 let condition = NodeCondition::Offends { what };
                 let (node, incarnation) = (peer.node.clone(), Incarnation::default());
                 nodes.do_send(NodeReported { node, incarnation, condition });
             }
         }
+        peers.iter_mut().for_each(|(_, peer)| peer.relayed = false);
     }
 
     pub(super) fn look_at_rates(&mut self, peers: &Peers) {

@@ -205,7 +205,7 @@ impl Robot {
                 recoverer: Some(faults.recipient()),
                 links: Some(links.recipient()),
                 nodes: Some(nodes.recipient()),
-                faults: Some(declared.recipient()),
+                declared: host.reports.clone(),
                 ..NetReports::default()
             },
             session_timeout: IDLE_TIMEOUT,

@@ -457,7 +457,7 @@ mod tests {
         actix_rt::spawn(async move {
             let down = |end: LastEnd| ends.lock().unwrap().push(format!("{:?}", end.ending));
             let lost = |reason| losses.lock().unwrap().push(reason);
-            ask_on(&sender, (&arm, EndsAfter::Question), down, lost, std::future::pending).await;
+            ask_on(&sender, &arm, EndsAfter::Question, down, lost, std::future::pending).await;
         });
 
         advance(8 * RETRY_DELAY).await;
@@ -489,8 +489,7 @@ mod tests {
             actix_rt::spawn(async move {
                 let lost = |reason| losses.lock().unwrap().push(reason);
                 let down = |end| panic!("{end:?}");
-                let of = (&arm, EndsAfter::Question);
-                ask_on(&sender, of, down, lost, std::future::pending).await;
+                ask_on(&sender, &arm, EndsAfter::Question, down, lost, std::future::pending).await;
             });
             advance(5 * RETRY_DELAY).await;
 

@@ -3,7 +3,9 @@
 use crate::runtime::guardian;
 use actix::Recipient;
 use blastema_contract::reports::{DeclaredFaultCleared, Exited, FaultDeclared, StateReported};
+use blastema_core::net::QUIET;
 use blastema_core::{FaultKind, ObjectName};
+use std::time::Duration;
 
 /// The recipients of what guards and components report. A report without a recipient is dropped.
 #[derive(Clone, Default)]
@@ -29,29 +31,51 @@ impl FaultReports {
         }
     }
 
-    /// A fault of one of the middleware's own objects.
+    /// A failed check of one of the middleware's own objects.
     pub(crate) fn declare(&self, object: &str, detail: String) {
         if let Ok(object) = ObjectName::new(object) {
-            self.declare_kind(object, FaultKind::CheckFailed, detail);
+            FaultReporter::new(object, self.clone()).declare(FaultKind::CheckFailed, detail);
         }
-    }
-
-    /// The same, where it is of this kind.
-    pub(crate) fn declare_kind(&self, object: ObjectName, kind: FaultKind, detail: String) {
-        let incarnation = guardian::alive().incarnation;
-        self.send(FaultDeclared { object, incarnation, kind, detail, hold: None });
     }
 
     /// What was [declared](Self::declare) of one of the middleware's own objects is over.
     pub(crate) fn clear(&self, object: &str) {
         if let Ok(object) = ObjectName::new(object) {
-            self.clear_kind(object, FaultKind::CheckFailed);
+            FaultReporter::new(object, self.clone()).clear(FaultKind::CheckFailed);
         }
     }
+}
 
-    /// The same, where it was of this kind.
-    pub(crate) fn clear_kind(&self, object: ObjectName, kind: FaultKind) {
-        let incarnation = guardian::alive().incarnation;
-        self.send_cleared(DeclaredFaultCleared { object, incarnation, kind });
+/// Declares the faults of one of the middleware's own objects, and takes them back.
+#[derive(Clone)]
+pub(crate) struct FaultReporter {
+    object: ObjectName,
+    reports: FaultReports,
+}
+
+impl FaultReporter {
+    pub(crate) fn new(object: ObjectName, reports: FaultReports) -> Self {
+        FaultReporter { object, reports }
+    }
+
+    /// Something is wrong.
+    pub(crate) fn declare(&self, kind: FaultKind, detail: String) {
+        self.declare_for(None, kind, detail);
+    }
+
+    /// The same, where the fault ends when it was not declared for a minute.
+    pub(crate) fn declare_passing(&self, kind: FaultKind, detail: String) {
+        self.declare_for(Some(QUIET), kind, detail);
+    }
+
+    fn declare_for(&self, hold: Option<Duration>, kind: FaultKind, detail: String) {
+        let (object, incarnation) = (self.object.clone(), guardian::alive().incarnation);
+        self.reports.send(FaultDeclared { object, incarnation, kind, detail, hold });
+    }
+
+    /// All that was wrong of this kind is over.
+    pub(crate) fn clear(&self, kind: FaultKind) {
+        let (object, incarnation) = (self.object.clone(), guardian::alive().incarnation);
+        self.reports.send_cleared(DeclaredFaultCleared { object, incarnation, kind });
     }
 }

@@ -17,7 +17,7 @@ use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, MessageMetadata, NameTaken, Registry, ReplyTo};
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::{Guardian, answers_the_monitor};
-use crate::runtime::reports::FaultReports;
+use crate::runtime::reports::FaultReporter;
 use actix::fut::wrap_future;
 use actix::prelude::*;
 use blastema_contract::reports::AreYouAlive;
@@ -77,7 +77,7 @@ pub(crate) struct ReplicaActor {
     wake: WakeTimer,
     registry: Registry,
     roster: Roster,
-    reports: FaultReports,
+    faults: FaultReporter,
     callers: SortedMap<u64, Responder<AskService>>,
     /// The questions that wait for a primary.
     questions: VecDeque<(WhoServes, Responder<WhoServes>)>,
@@ -100,7 +100,7 @@ impl ReplicaActor {
         let ComponentEnvironment { registry, .. } = environment;
         let roster = environment.feature::<Roster>();
         let (kept, known, names) = (carried.clone(), roster.clone(), registry.clone());
-        let reports = environment.reports.clone();
+        let faults = FaultReporter::new(carried.actor.clone(), environment.reports.clone());
         let make = move |_: &mut Context<Self>| {
             let (config, initial) = (kept.config.clone(), kept.initial.clone());
             ReplicaActor {
@@ -109,7 +109,7 @@ impl ReplicaActor {
                 wake: WakeTimer::default(),
                 registry: names,
                 roster: known,
-                reports,
+                faults,
                 callers: SortedMap::new(),
                 questions: VecDeque::new(),
                 inquiry: None,
@@ -275,9 +275,9 @@ impl ReplicaActor {
 
     /// Declares a fault of the service.
     fn declare(&self, kind: FaultKind, detail: &str) {
-        let Carried { name, actor, .. } = &self.carried;
+        let name = &self.carried.name;
         warn!(service = %name, "{detail}");
-        self.reports.declare_kind(actor.clone(), kind, format!("service {name}: {detail}"));
+        self.faults.declare(kind, format!("service {name}: {detail}"));
     }
 
     fn became(&mut self, role: &Role, context: &mut Context<Self>) {
@@ -498,7 +498,7 @@ impl MachineActor for ReplicaActor {
             }
             ReplicaOutput::FaultCleared { kind } => {
                 self.show();
-                self.reports.clear_kind(self.carried.actor.clone(), kind);
+                self.faults.clear(kind);
             }
             ReplicaOutput::Compare { with } => self.compare(with, context),
             ReplicaOutput::CheckDependencies => self.inquire(context),
@@ -615,6 +615,7 @@ fn sender(name: &str, MessageOrigin { peer }: MessageOrigin) -> Option<NodeName>
 mod tests {
     use super::*;
     use crate::directory::DirectoryTable;
+    use crate::runtime::reports::FaultReports;
     use blastema_core::Machine;
     use blastema_core::service::OnPartition;
     use blastema_doubles::settle;
@@ -649,11 +650,11 @@ mod tests {
         };
         Guardian::default().start(carried.actor.clone(), None, |_| ReplicaActor {
             machine: Replica::new(config("n1"), Bytes::new(), platform::now()),
+            faults: FaultReporter::new(carried.actor.clone(), FaultReports::default()),
             carried,
             wake: WakeTimer::default(),
             registry: Registry::default(),
             roster: Roster::new(DirectoryTable::default()),
-            reports: FaultReports::default(),
             callers: SortedMap::new(),
             questions: VecDeque::new(),
             inquiry: None,

@@ -14,7 +14,7 @@ const LOOKS: u32 = 3;
 /// What was refused of whom, as seen at regular looks.
 #[derive(Clone, Debug)]
 pub struct RefusalAlarms<K> {
-    /// As many as are looked at.
+    /// Those of the last look.
     seen: SortedMap<K, Seen>,
 }
 
@@ -31,20 +31,25 @@ impl<K> Default for RefusalAlarms<K> {
     }
 }
 
-impl<K: Ord> RefusalAlarms<K> {
-    /// What was refused of `who` up to now. Answers when it goes on for too long what was refused
-    /// since the last look; and again each time that it has gone on for as long.
-    pub fn handle_look(&mut self, who: K, refusals: Refusals) -> Option<Refusals> {
-        let seen = self.seen.entry(who).or_default();
-        let since = refusals.since(&std::mem::replace(&mut seen.refusals, refusals));
-        let many = since.total() >= MANY;
-        seen.looks = if many { seen.looks.saturating_add(1) } else { 0 };
-        (seen.looks > 0 && seen.looks.is_multiple_of(LOOKS)).then_some(since)
-    }
-
-    /// Forgets what was refused of `who`.
-    pub fn forget(&mut self, who: &K) {
-        self.seen.remove(who);
+impl<K: Ord + Clone> RefusalAlarms<K> {
+    /// What was refused of each up to now. Returns those of whom it goes on for too long, with what
+    /// was refused since the last look; and again each time that it has gone on for as long. Who is
+    /// not looked at is forgotten.
+    pub fn handle_look(
+        &mut self,
+        all: impl IntoIterator<Item = (K, Refusals)>,
+    ) -> Vec<(K, Refusals)> {
+        let (mut before, mut alarms) = (std::mem::take(&mut self.seen), Vec::new());
+        for (who, refusals) in all {
+            let last = before.remove(&who).unwrap_or_default();
+            let since = refusals.since(&last.refusals);
+            let looks = if since.total() >= MANY { last.looks.saturating_add(1) } else { 0 };
+            if looks > 0 && looks.is_multiple_of(LOOKS) {
+                alarms.push((who.clone(), since));
+            }
+            self.seen.insert(who, Seen { refusals, looks });
+        }
+        alarms
     }
 }
 
@@ -58,8 +63,8 @@ mod tests {
         let mut total = Refusals::default();
         let mut look = |malformed: u64| {
             total.malformed += malformed;
-            let reported = alarms.handle_look("peer", total);
-            reported.map(|since| since.malformed)
+            let reported = alarms.handle_look([("peer", total)]);
+            reported.first().map(|(_, since)| since.malformed)
         };
 
         let reported: Vec<_> =
@@ -77,10 +82,10 @@ mod tests {
         for n in 1..=3 {
             let many = Refusals { stale: n * 100, ..Refusals::default() };
             let few = Refusals { stale: n, ..Refusals::default() };
-            assert_eq!(alarms.handle_look(1, many).is_some(), n == 3);
-            assert_eq!(alarms.handle_look(2, few), None);
+            let reported = alarms.handle_look([(1, many), (2, few)]);
+            assert_eq!(reported.iter().map(|(who, _)| *who).eq([1]), n == 3);
         }
-        alarms.forget(&1);
+        alarms.handle_look([(2, Refusals::default())]);
         assert_eq!(alarms.seen.len(), 1);
     }
 }

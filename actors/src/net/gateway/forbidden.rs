@@ -1,8 +1,8 @@
 //! The fault *forbidden*: what peers may not do here, and what this node may not do at peers.
 
-use crate::net::fault_reporter::FaultReporter;
 use crate::platform;
 use crate::registry::access::AccessControl;
+use crate::runtime::reports::FaultReporter;
 use blastema_core::net::trust::access::REFUSAL_REMINDER;
 use blastema_core::{DeliveryError, FaultKind, Instant};
 use tracing::error;

@@ -223,10 +223,8 @@ impl ObjectGateway {
     /// Raises an alarm for a peer that sends on for seconds although it was told to stop, and
     /// clears it when none did for a while.
     pub(super) fn look_at_refusals(&mut self) {
-        let looks: Vec<_> = self.queues.backlog.refusals().collect();
-        for (peer, refusals) in looks {
-            let alarm = self.queues.complaints.handle_look(peer, refusals);
-            let Some(since) = alarm else { continue };
+        let InboundBacklog { backlog, complaints, .. } = &mut self.queues;
+        for (peer, since) in complaints.handle_look(backlog.refusals()) {
             let node = self.exchange.peers.name(peer);
             let lost = since.too_large;
             let detail = format!(

@@ -282,7 +282,8 @@ impl LinksActor {
         let Some(discovery) = &mut self.discovery else { return };
         discovery.say_beacons();
         discovery.machine.handle_time(platform::now());
-        if let Some(since) = discovery.complaints.handle_look((), discovery.machine.refusals()) {
+        let refusals = discovery.machine.refusals();
+        for ((), since) in discovery.complaints.handle_look([((), refusals)]) {
             let detail = format!(
                 "of the neighbours that are told by beacons, many are refused all the time: {since}"
             );

@@ -51,10 +51,7 @@ impl LinksActor {
             Some(refusals) => Refusals { unexpected: refusals.total(), ..Refusals::default() },
             None => self.bundle.strangers(),
         };
-        let looks: Vec<_> = links.chain([(None, others)]).collect();
-        for (number, refusals) in looks {
-            let alarm = self.complaints.handle_look(number, refusals);
-            let Some(since) = alarm else { continue };
+        for (number, since) in self.complaints.handle_look(links.chain([(None, others)])) {
             let network = &self.wiring.network;
             let detail = match number.and_then(|number| self.specs.get(&number)) {
                 Some(LinkSpec { name, remote, .. }) => format!(

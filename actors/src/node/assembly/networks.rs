@@ -212,8 +212,7 @@ fn make_networks(
             links: Some(monitor.clone().recipient()),
             stalls: Some(monitor.clone().recipient()),
             nodes: Some(monitor.clone().recipient()),
-            faults: Some(monitor.clone().recipient()),
-            cleared: Some(monitor.clone().recipient()),
+            declared: environment.reports.clone(),
         },
         session_timeout,
         directory: None,
@@ -249,7 +248,7 @@ fn make_networks(
 
 /// The setup of the directory for a node without a network.
 fn directory_setup(node: &Shared) -> DirectorySetup {
-    let Shared { name, incarnation, chain, environment, .. } = node;
+    let Shared { name, incarnation, environment, .. } = node;
     DirectorySetup {
         node: name.clone(),
         incarnation: *incarnation,
@@ -259,8 +258,7 @@ fn directory_setup(node: &Shared) -> DirectorySetup {
         registry: environment.registry.clone(),
         topics: environment.feature::<Topics>().clone(),
         names: environment.feature::<DirectoryTable>().clone(),
-        faults: Some(chain.monitor.clone().recipient()),
-        cleared: Some(chain.monitor.clone().recipient()),
+        reports: environment.reports.clone(),
     }
 }
 

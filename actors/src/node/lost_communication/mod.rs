@@ -21,7 +21,8 @@ use crate::component::environment::ComponentEnvironment;
 use crate::condition::Conditions;
 use crate::condition::{ConditionError, object_of};
 use crate::platform::{self, lock};
-use actix::prelude::{ArbiterHandle, Recipient};
+use crate::runtime::reports::FaultReports;
+use actix::prelude::ArbiterHandle;
 use blastema_contract::reports::FaultDeclared;
 use blastema_core::connection::{ConditionState, LostCommunication, LostCommunicationOutput};
 use blastema_core::lease::CommanderId;
@@ -74,7 +75,7 @@ pub(super) struct KeptPolicy {
     holder: CommanderId,
     commander: Option<NodeName>,
     actuators: ActuatorTable,
-    faults: Option<Recipient<FaultDeclared>>,
+    reports: FaultReports,
     ladder: Mutex<LostCommunication>,
     /// The place of the rung that is carried out.
     rung: watch::Sender<Option<usize>>,
@@ -137,10 +138,10 @@ impl KeptPolicy {
         let detail = format!("{cause}; after {after:?} the robot begins to {name}");
         info!(policy = self.name, "{detail}");
         // The condition may hold again by now, and its fault be over.
-        if let (Some(faults), ConditionState::Lost) = (&self.faults, state) {
+        if state == ConditionState::Lost {
             let (object, incarnation) = (self.object.clone(), Incarnation::FIRST);
             let kind = FaultKind::ConnectionLost;
-            faults.do_send(FaultDeclared { object, incarnation, kind, detail, hold: None });
+            self.reports.send(FaultDeclared { object, incarnation, kind, detail, hold: None });
         }
     }
 
@@ -235,7 +236,7 @@ impl LostCommunicationPolicy {
             rungs,
             commander,
             actuators: environment.feature::<ActuatorTable>().clone(),
-            faults: environment.reports.faults.clone(),
+            reports: environment.reports.clone(),
             ladder: Mutex::new(LostCommunication::new(times, self.end)),
             rung: ladder,
             node: slot,
