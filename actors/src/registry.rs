@@ -12,9 +12,10 @@ pub(crate) mod remote_watch;
 pub(crate) mod service_fn;
 
 use crate::messaging::death_watch::{Deaths, Down, DownReason, NumberedEnd, Watchable, Watcher};
+use crate::messaging::reply::Responder;
 use crate::messaging::sender::Sender;
 use crate::platform::lock;
-use access::AccessControl;
+use access::{AccessControl, MessageOrigin};
 use blastema_core::net::NodeId;
 use blastema_core::sorted::SortedMap;
 use blastema_core::{
@@ -292,8 +293,13 @@ impl Registry {
     }
 
     /// Accepts a contract from other nodes under a name that no object has and no list shows.
-    pub(crate) fn register_hidden(&self, name: ObjectName, port: ContractPort) {
-        self.lock().hidden.insert(name, port);
+    pub(crate) fn serve_hidden<M: Contract>(
+        &self,
+        name: &str,
+        serve: impl Fn(M, MessageOrigin, Responder<M>) + Send + Sync + 'static,
+    ) {
+        let name = ObjectName::new(name).expect("a name of letters");
+        self.lock().hidden.insert(name, ContractPort::served_by(serve));
     }
 
     /// One more contract is taken at an object's name.

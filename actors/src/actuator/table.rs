@@ -179,7 +179,7 @@ impl ActuatorTable {
                           reply: Responder<ActuatorCommand>| {
             table.serve(&object, &access, order, from, reply)
         };
-        ContractPort::of_service_fn(ServiceFn::<ActuatorCommand>(Arc::new(serve)))
+        ContractPort::served_by(serve)
     }
 
     /// The object is gone, and its actuators with it.

@@ -5,12 +5,11 @@
 use crate::messaging::reply::Responder;
 use crate::messaging::sender::Sender;
 use crate::platform::{self, lock};
+use crate::registry::Registry;
 use crate::registry::access::MessageOrigin;
-use crate::registry::service_fn::ServiceFn;
-use crate::registry::{ContractPort, Registry};
 use blastema_core::connection::RoundTripEstimator;
 use blastema_core::sorted::SortedMap;
-use blastema_core::{Instant, NodeName, ObjectName};
+use blastema_core::{Instant, NodeName};
 use blastema_macros::Request;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -30,8 +29,7 @@ struct RoundTripEcho;
 /// Answers other nodes.
 pub(super) fn serve(registry: &Registry) {
     let serve = |_, _: MessageOrigin, responder: Responder<RoundTripEcho>| responder.give(());
-    let port = ContractPort::of_service_fn(ServiceFn::<RoundTripEcho>(Arc::new(serve)));
-    registry.register_hidden(ObjectName::new(OBJECT).expect("a name of letters"), port);
+    registry.serve_hidden(OBJECT, serve);
 }
 
 /// The round trips to the nodes whose latency a condition limits: as many as conditions name.

@@ -3,9 +3,8 @@
 use crate::messaging::reply::Responder;
 use crate::messaging::sender::Sender;
 use crate::platform;
+use crate::registry::Registry;
 use crate::registry::access::MessageOrigin;
-use crate::registry::service_fn::ServiceFn;
-use crate::registry::{ContractPort, Registry};
 use actix::dev::{MessageResponse, OneshotSender};
 use actix::prelude::*;
 use blastema_contract::Confirmed;
@@ -13,9 +12,8 @@ use blastema_contract::recoverer::Recover;
 use blastema_core::contract::codec;
 use blastema_core::contract::codec::DecodeError;
 use blastema_core::net::NodeId;
-use blastema_core::{DeliveryError, Fault, FaultLocation, Instant, NodeName, ObjectName};
+use blastema_core::{DeliveryError, Fault, FaultLocation, Instant, NodeName};
 use blastema_macros::Request;
-use std::sync::Arc;
 use std::time::Duration;
 use tracing::warn;
 
@@ -56,9 +54,7 @@ fn decode(
 }
 
 /// Where a node takes the faults of others. It is no object that others can see.
-fn object() -> ObjectName {
-    super::named("recoverer")
-}
+const OBJECT: &str = "net/recoverer";
 
 /// Takes other nodes' faults for the recoverer of this one. The peer protocol checks the right when
 /// the contract is bound.
@@ -85,8 +81,7 @@ pub(super) fn serve(registry: &Registry, recoverer: Recipient<Recover>) {
             }
         });
     };
-    let port = ContractPort::of_service_fn(ServiceFn::<ForwardFault>(Arc::new(take)));
-    registry.register_hidden(object(), port);
+    registry.serve_hidden::<ForwardFault>(OBJECT, take);
 }
 
 /// Stands in for the recoverer of one other node.
@@ -97,7 +92,7 @@ pub(super) struct RemoteRecoverer {
 
 impl RemoteRecoverer {
     pub(super) fn new(peer: &NodeName, registry: &Registry) -> Self {
-        RemoteRecoverer { address: format!("{peer}:{}", object()), registry: registry.clone() }
+        RemoteRecoverer { address: format!("{peer}:{OBJECT}"), registry: registry.clone() }
     }
 }
 

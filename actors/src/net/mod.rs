@@ -54,14 +54,13 @@ use actix_rt::ArbiterHandle;
 use blastema_contract::link::{AddLinks, LinkRow, ReadLinks};
 use blastema_contract::monitor::{LinkReported, NodeReported};
 use blastema_contract::recoverer::Recover;
-use blastema_contract::recoverer::SafeStateChanged;
 use blastema_contract::reports::{AreYouAlive, LivenessReported};
-use blastema_contract::router::{InjectPanic, ReadRoutes, Routes};
+use blastema_contract::router::{InjectPanic, ReadRoutes};
 use blastema_contract::session::{DirectoryReport, ReadSessions, SendToDirectory, SessionRow};
-use blastema_contract::strategy::{IsolateNode, Reroute};
+use blastema_contract::strategy::IsolateNode;
 use blastema_contract::transport::{MediumAddress, ReadCounters, Transport, TransportCounters};
-use blastema_core::net::LinkId;
 use blastema_core::net::discovery::LEARNED_MAX;
+use blastema_core::net::{LinkId, Route};
 use blastema_core::{Incarnation, NodeName, ObjectName};
 use roster_watch::RosterWatch;
 use std::collections::BTreeSet;
@@ -226,10 +225,10 @@ pub(crate) fn start(environment: NetEnvironment, networks: Vec<NetworkSpec>) -> 
     let media = networks.iter().map(|spec| (spec.name.clone(), spec.transport.counters.clone()));
     let media = media.collect();
     if let Some(keys) = &keys {
-        let networks = networks.iter().map(|spec| (spec.name.to_string(), spec.seal.is_some()));
-        let orders =
-            operator::IsolationOrders::new(node.clone(), stubs.clone(), stack.clone().recipient());
-        operator::serve(&environment.registry, keys, networks.collect(), orders);
+        let networks = networks.iter().map(|NetworkSpec { name, seal, .. }| {
+            operator::NetworkSeal { network: name.to_string(), sealed: seal.is_some() }
+        });
+        operator::serve(&environment.registry, keys, networks.collect());
     }
     let networks = networks.into_iter().zip(numbers).map(|(spec, numbers)| {
         let name = named(&format!("links/{}", spec.name));
@@ -372,9 +371,8 @@ impl NetHandle {
     }
 
     /// Every node that can be reached, and how.
-    pub(crate) async fn read_routes(&self) -> Routes {
-        let nothing = Routes { routes: Vec::new() };
-        self.stack.send(ReadRoutes).await.unwrap_or(nothing)
+    pub(crate) async fn read_routes(&self) -> Vec<Route> {
+        self.stack.send(ReadRoutes).await.unwrap_or_default()
     }
 
     /// The roster that is used; none without keys.
@@ -404,13 +402,13 @@ impl NetHandle {
         self.stack.do_send(decision);
     }
 
-    /// Takes the decisions of recovery strategies about other nodes.
-    pub(crate) fn isolation(&self) -> Recipient<IsolateNode> {
-        self.stack.clone().recipient()
-    }
-
-    /// Takes [`InjectPanic`], for the demonstration and tests.
-    pub(crate) fn router(&self) -> Recipient<InjectPanic> {
+    /// Takes the messages of one type for the stack: the decisions of recovery strategies, the safe
+    /// states of this node, panics on purpose.
+    pub(crate) fn stack<M>(&self) -> Recipient<M>
+    where
+        M: Message<Result: Send> + Send + 'static,
+        stack::NetworkStack: Handler<M>,
+    {
         self.stack.clone().recipient()
     }
 
@@ -441,16 +439,6 @@ impl NetHandle {
             all.push((name.clone(), links.clone().recipient()));
         }
         all
-    }
-
-    /// Is told of the safe state of this node, and tells peers.
-    pub(crate) fn safe_states(&self) -> Recipient<SafeStateChanged> {
-        self.stack.clone().recipient()
-    }
-
-    /// Takes requests for another way, from the recovery strategy.
-    pub(crate) fn reroute(&self) -> Recipient<Reroute> {
-        self.stack.clone().recipient()
     }
 
     /// The start of this node is over: peers learn that they are connected with it.

@@ -10,23 +10,15 @@
 //! of this.
 
 use super::keys::NodeKeys;
-use super::stub::PeerStubs;
+use crate::registry::Registry;
 use crate::registry::access::{AccessControl, MessageOrigin};
-use crate::registry::service_fn::ServiceFn;
-use crate::registry::{ContractPort, Registry};
-use actix::Recipient;
-use blastema_contract::strategy::IsolateNode;
-use blastema_core::{DeliveryError, NodeName, ObjectName};
+use blastema_core::{DeliveryError, NodeName};
 use blastema_macros::{Request, Structure};
-use std::sync::Arc;
 use std::time::Duration;
-use tracing::warn;
 
 /// Under which names nodes are asked. They are no objects that others can see.
 const KEYS: &str = "net/keys";
-const ORDERS: &str = "net/orders";
-/// The longest reason of an order, in bytes.
-const REASON_BYTES: usize = 160;
+pub(crate) const ISOLATION: &str = "net/orders";
 
 /// Asks for the state of a node's keys.
 #[derive(Clone, Debug, Request)]
@@ -60,18 +52,18 @@ pub struct NetworkSeal {
 /// Orders a node to isolate another one, or to admit it again.
 #[derive(Clone, Debug, Request)]
 #[contract(crate = "crate", name = "blastema/order-isolation", version = 1, reply = IsolationOrdered)]
-struct OrderIsolation {
-    node: String,
-    isolated: bool,
-    reason: String,
+pub(crate) struct OrderIsolation {
+    pub(crate) node: String,
+    pub(crate) isolated: bool,
+    pub(crate) reason: String,
 }
 
 /// What came of it.
 #[derive(Clone, Debug, Structure)]
 #[contract(crate = "crate")]
-struct IsolationOrdered {
+pub(crate) struct IsolationOrdered {
     /// Why nothing was done.
-    refused: Option<String>,
+    pub(crate) refused: Option<String>,
 }
 
 /// Why an order to another node was not carried out.
@@ -87,65 +79,14 @@ pub enum OrderError {
     Refused(String),
 }
 
-/// Carries out the orders of operators on which nodes are isolated.
-#[derive(Clone)]
-pub(super) struct IsolationOrders {
-    own: NodeName,
-    stubs: Arc<PeerStubs>,
-    stack: Recipient<IsolateNode>,
-}
-
-impl IsolationOrders {
-    pub(super) fn new(own: NodeName, stubs: Arc<PeerStubs>, stack: Recipient<IsolateNode>) -> Self {
-        IsolationOrders { own, stubs, stack }
-    }
-
-    /// # Errors
-    /// Why nothing was done.
-    fn carry_out(&self, order: &OrderIsolation, by: &NodeName) -> Result<(), String> {
-        let node = NodeName::new(&order.node).map_err(|error| error.to_string())?;
-        if node == self.own {
-            return Err("a node does not isolate itself: order another one".to_owned());
-        }
-        if !self.stubs.has_met(&node) {
-            return Err(format!("it knows no node called {node}"));
-        }
-        let cut = (0..=REASON_BYTES.min(order.reason.len())).rev();
-        let end = cut.into_iter().find(|at| order.reason.is_char_boundary(*at)).unwrap_or(0);
-        let cause = match &order.reason[..end] {
-            "" => format!("by order of {by}"),
-            reason => format!("by order of {by}: {reason}"),
-        };
-        let isolated = order.isolated;
-        warn!(target: "blastema::audit", %node, isolated, operator = %by, "{cause}");
-        self.stack.do_send(IsolateNode { node, isolated, cause });
-        Ok(())
-    }
-}
-
 /// Serves the operators of the robot.
-pub(super) fn serve(
-    registry: &Registry,
-    keys: &NodeKeys,
-    networks: Vec<(String, bool)>,
-    isolation: IsolationOrders,
-) {
+pub(super) fn serve(registry: &Registry, keys: &NodeKeys, networks: Vec<NetworkSeal>) {
     let (access, fingerprint) = (registry.access(), keys.fingerprint());
-    let networks: Vec<_> =
-        networks.into_iter().map(|(network, sealed)| NetworkSeal { network, sealed }).collect();
-    let read = ServiceFn::<ReadKeyStatus>(Arc::new(move |_, _, answer| {
+    registry.serve_hidden::<ReadKeyStatus>(KEYS, move |_, _, answer| {
         let serial = access.policy().map_or(0, |policy| policy.serial());
         let (fingerprint, networks) = (fingerprint.clone(), networks.clone());
         answer.give(KeyStatus { serial, fingerprint, networks });
-    }));
-    let (access, own) = (registry.access(), isolation.own.clone());
-    let order = ServiceFn::<OrderIsolation>(Arc::new(move |order, from, answer| {
-        let by = operator(&access, from).unwrap_or_else(|| own.clone());
-        answer.give(IsolationOrdered { refused: isolation.carry_out(&order, &by).err() });
-    }));
-    let object = |name| ObjectName::new(name).expect("a name of letters");
-    registry.register_hidden(object(KEYS), ContractPort::of_service_fn(read));
-    registry.register_hidden(object(ORDERS), ContractPort::of_service_fn(order));
+    });
 }
 
 /// The node that has sent it.
@@ -173,7 +114,7 @@ pub(crate) async fn order_isolation(
     within: Duration,
 ) -> Result<(), OrderError> {
     let order = OrderIsolation { node: node.to_owned(), isolated, reason: reason.to_owned() };
-    let sender = registry.sender::<OrderIsolation>(&format!("{to}:{ORDERS}"))?;
+    let sender = registry.sender::<OrderIsolation>(&format!("{to}:{ISOLATION}"))?;
     let ordered = sender.ask_within(order, within).await.map_err(|error| error.kind)?;
     ordered.refused.map_or(Ok(()), |why| Err(OrderError::Refused(why)))
 }

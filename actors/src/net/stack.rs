@@ -25,7 +25,7 @@ use crate::runtime::pending_answer::PendingAnswer;
 use actix::prelude::*;
 use blastema_contract::link::{AddLinks, LinkChanged, ReceivedOnLink};
 use blastema_contract::recoverer::SafeStateChanged;
-use blastema_contract::router::{InjectPanic, ReadRoutes, Routes};
+use blastema_contract::router::{InjectPanic, ReadRoutes};
 use blastema_contract::session::{ReadSessions, SendToDirectory, SessionRow};
 use blastema_contract::strategy::{IsolateNode, Reroute};
 use blastema_core::net::{NodeId, RouterOutput, SessionOutput};
@@ -42,7 +42,7 @@ const TIME_INTERVAL: Duration = Duration::from_millis(200);
 const LOOK_INTERVAL: Duration = Duration::from_secs(1);
 
 /// The actor of the gateway, the sessions and the router.
-pub(super) struct NetworkStack {
+pub(crate) struct NetworkStack {
     pub(super) floors: Floors,
     wake: WakeTimer,
 }
@@ -403,13 +403,13 @@ impl Handler<Reroute> for NetworkStack {
 }
 
 impl Handler<ReadRoutes> for NetworkStack {
-    type Result = Routes;
+    type Result = MessageResult<ReadRoutes>;
 
-    fn handle(&mut self, _: ReadRoutes, _: &mut Context<Self>) -> Routes {
+    fn handle(&mut self, _: ReadRoutes, _: &mut Context<Self>) -> Self::Result {
         let machine = &self.floors.router.machine;
         let mut routes: Vec<_> = machine.routes().map(|(_, route)| route.clone()).collect();
         routes.sort_by(|a, b| a.node.cmp(&b.node));
-        Routes { routes }
+        MessageResult(routes)
     }
 }
 

@@ -325,7 +325,10 @@ impl NodeAssembly {
     async fn keep_variables(&mut self, file: Option<PathBuf>) -> Result<(), StartError> {
         let Some(file) = file else { return Ok(()) };
         let reports = self.node.environment.reports.clone();
-        let failed = move |detail| reports.declare(KEPT_VARIABLES, detail);
+        let changed = move |written: Result<(), String>| match written {
+            Ok(()) => reports.clear(KEPT_VARIABLES),
+            Err(detail) => reports.declare(KEPT_VARIABLES, detail),
+        };
         let lock = match FileLock::acquire_after_predecessor(&file, &self.node.name).await {
             Ok(lock) => Some(lock),
             Err(error @ LockError::InUse { .. }) => {
@@ -333,7 +336,8 @@ impl NodeAssembly {
             }
             // Where no lock can be, no file can be written either, and that stops no robot.
             Err(LockError::Io(error)) => {
-                failed(format!("variables cannot be kept in {}: {error}", file.display()));
+                let place = file.display();
+                changed(Err(format!("variables cannot be kept in {place}: {error}")));
                 None
             }
         };
@@ -342,7 +346,7 @@ impl NodeAssembly {
             None => without_links(&file),
         };
         self.node.held.push(path.clone());
-        let kept = self.node.environment.feature::<VariableStore>().keep_in(path, lock, failed);
+        let kept = self.node.environment.feature::<VariableStore>().keep_in(path, lock, changed);
         kept.map_err(|error| StartError::of_path("keep_variables", &file, error.to_string()))?;
         self.keep(named(KEPT_VARIABLES), None)
     }

@@ -6,8 +6,7 @@
 //! ```
 
 use super::Node;
-use crate::net::operator::operator;
-use crate::registry::{ContractPort, service_fn::ServiceFn};
+use crate::net::operator::{ISOLATION, IsolationOrdered, OrderIsolation, operator};
 use blastema_contract::supervisor::{ChildAction, ChildRequest};
 use blastema_core::{FaultLocation, Lifecycle, ObjectName};
 use blastema_macros::{Request, Structure};
@@ -126,17 +125,23 @@ pub(super) fn serve_operators(node: &Node) {
         return;
     }
     let shared = Arc::downgrade(&node.0);
-    let serve = ServiceFn::<ComponentOrder>(Arc::new(move |order, from, answer| {
-        let Some(node) = shared.upgrade().map(Node) else { return };
+    let ordered = move |from| {
         let by = operator(&access, from).unwrap_or_else(|| own.clone());
+        shared.upgrade().map(|node| (Node(node), by))
+    };
+    let isolating = ordered.clone();
+    registry.serve_hidden::<ComponentOrder>(COMPONENTS, move |order, from, answer| {
+        let Some((node, by)) = ordered(from) else { return };
         let ComponentOrder { verb, name } = &order;
         if *verb != OrderVerb::List {
             info!(target: "blastema::audit", operator = %by, ?name, "it orders: {verb:?}");
         }
         actix_rt::spawn(async move { answer.give(node.order(&order).await) });
-    }));
-    let object = ObjectName::new(COMPONENTS).expect("a name of letters");
-    registry.register_hidden(object, ContractPort::of_service_fn(serve));
+    });
+    registry.serve_hidden::<OrderIsolation>(ISOLATION, move |order, from, answer| {
+        let Some((node, by)) = isolating(from) else { return };
+        answer.give(IsolationOrdered { refused: node.isolate_by_order(&order, &by).err() });
+    });
 }
 
 /// The state of a component.

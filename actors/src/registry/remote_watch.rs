@@ -30,7 +30,7 @@ use crate::platform;
 use crate::platform::lock;
 use crate::registry::access::MessageOrigin;
 use crate::registry::service_fn::ServiceFn;
-use crate::registry::{ContractPort, Registry, WeakRegistry};
+use crate::registry::{Registry, WeakRegistry};
 use blastema_core::net::NodeId;
 use blastema_core::sorted::SortedMap;
 use blastema_core::{DeliveryError, Incarnation, ObjectAddress, ObjectName};
@@ -213,11 +213,7 @@ pub(crate) fn serve(registry: &Registry) -> DeathWatchService {
     let serve = move |AwaitEnd { object, after }, by, responder| {
         service_fn.serve(object, after, by, responder);
     };
-    let object = ObjectName::new(OBJECT).expect("a name of letters");
-    registry.register_hidden(
-        object,
-        ContractPort::of_service_fn(ServiceFn::<AwaitEnd>(Arc::new(serve))),
-    );
+    registry.serve_hidden(OBJECT, serve);
     service
 }
 

@@ -99,8 +99,10 @@ impl<M: Contract> Skeleton for ServiceFn<M> {
 
 impl ContractPort {
     /// A contract that the node itself serves at the object's name.
-    pub(crate) fn of_service_fn<M: Contract>(service_fn: ServiceFn<M>) -> Self {
-        let skeleton = Arc::new(service_fn.clone());
-        ContractPort::new::<M>(Sender(Arc::new(service_fn)), skeleton)
+    pub(crate) fn served_by<M: Contract>(
+        serve: impl Fn(M, MessageOrigin, Responder<M>) + Send + Sync + 'static,
+    ) -> Self {
+        let service_fn = Arc::new(ServiceFn(Arc::new(serve)));
+        ContractPort::new::<M>(Sender(service_fn.clone()), service_fn)
     }
 }

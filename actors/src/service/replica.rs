@@ -13,7 +13,6 @@ use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::reply::Responder;
 use crate::platform;
 use crate::registry::access::MessageOrigin;
-use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, MessageMetadata, NameTaken, Registry, ReplyTo};
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::{Guardian, answers_the_monitor};
@@ -592,7 +591,7 @@ fn port<M: Contract, S: 'static>(
     handle: fn(&mut ReplicaActor, S, M, Responder<M>),
 ) -> ContractPort {
     let actor = actor.clone();
-    ContractPort::of_service_fn(ServiceFn::<M>(Arc::new(move |message, origin, responder| {
+    ContractPort::served_by(move |message: M, origin, responder| {
         let step = move |replica: &mut ReplicaActor, _: &mut Context<ReplicaActor>| match sender(
             &message, origin,
         ) {
@@ -600,7 +599,7 @@ fn port<M: Contract, S: 'static>(
             None => replica.machine.handle_refused(),
         };
         actor.do_send(ReplicaStep(Box::new(step)));
-    })))
+    })
 }
 
 /// Returns the verified sender of a message between replicas. The message names its sender, but any

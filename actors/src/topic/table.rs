@@ -359,22 +359,25 @@ impl TopicTable {
     fn remove_forward(&mut self, forward: &ForwardId) {
         if let Some(forwards) = self.forwards.get_mut(&forward.topic) {
             forwards.remove(&forward.id);
+            if forwards.is_empty() {
+                self.forwards.remove(&forward.topic);
+            }
         }
     }
 
     /// Tells a topic which forwards it has, and which of them joins. Says whether there are some.
     fn renew_forwards(&self, topic: &ObjectName, joins: Option<u64>) -> bool {
-        let (Some(known), Some(forwards)) = (self.topics.get(topic), self.forwards.get(topic))
-        else {
+        let (Some(known), forwards) = (self.topics.get(topic), self.forwards.get(topic)) else {
             return false;
         };
         let identity = known.erased.identity();
-        let understood = forwards.iter().filter(|(_, kept)| kept.is_understood_of(&identity));
+        let all = forwards.into_iter().flat_map(|forwards| forwards.iter());
+        let understood = all.filter(|(_, kept)| kept.is_understood_of(&identity));
         let joins = understood.clone().find(|(id, _)| Some(**id) == joins);
         let joins = joins.map(|(_, kept)| &kept.forward);
         let all = understood.map(|(_, kept)| kept.forward.clone()).collect();
         known.erased.forward_to(all, joins);
-        !forwards.is_empty()
+        forwards.is_some()
     }
 }
 

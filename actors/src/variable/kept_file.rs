@@ -96,18 +96,18 @@ impl Shared {
 }
 
 impl PersistenceFile {
-    /// The lock is `None` where the file's folder cannot be written. `failed` is told when the file
-    /// cannot be written, once until it can be again.
+    /// The lock is `None` where the file's folder cannot be written. `changed` is told when the file
+    /// cannot be written, and when it can be again.
     pub(super) fn start(
         path: PathBuf,
         lock: Option<FileLock>,
-        failed: impl Fn(String) + Send + 'static,
+        changed: impl Fn(Result<(), String>) + Send + 'static,
     ) -> io::Result<Self> {
         let shared =
             Arc::new(Shared { order: Mutex::new(Order::default()), changed: Condvar::new() });
         let kept = shared.clone();
         platform::start_thread("variables", move || {
-            write_when_told(&path, &kept, failed);
+            write_when_told(&path, &kept, changed);
             drop(lock);
         })?;
         Ok(PersistenceFile(shared))
@@ -144,7 +144,7 @@ impl Drop for PersistenceFile {
     }
 }
 
-fn write_when_told(path: &Path, shared: &Shared, failed: impl Fn(String)) {
+fn write_when_told(path: &Path, shared: &Shared, changed: impl Fn(Result<(), String>)) {
     let mut failing = false;
     loop {
         let mut order = shared.lock();
@@ -155,12 +155,11 @@ fn write_when_told(path: &Path, shared: &Shared, failed: impl Fn(String)) {
         let waiting = std::mem::take(&mut order.waiting);
         drop(order);
         let saved = save(path, &values).map_err(|error| error.to_string());
-        if let Err(error) = &saved
-            && !std::mem::replace(&mut failing, true)
-        {
-            failed(format!("variables cannot be kept in {}: {error}", path.display()));
+        if std::mem::replace(&mut failing, saved.is_err()) != failing {
+            let place = path.display();
+            let told = saved.clone();
+            changed(told.map_err(|why| format!("variables cannot be kept in {place}: {why}")));
         }
-        failing &= saved.is_err();
         waiting.into_iter().for_each(|then| then(saved.clone()));
     }
 }

@@ -9,7 +9,6 @@ use crate::platform::{self, lock, panics};
 use crate::registry::ContractPort;
 use crate::registry::access::{AccessControl, MessageOrigin};
 use crate::registry::encoding::{RequestRefusal, encoded, named_contract};
-use crate::registry::service_fn::ServiceFn;
 use crate::runtime::reports::FaultReports;
 use blastema_core::contract::codec;
 use blastema_core::net::trust::policy::Verb;
@@ -172,7 +171,7 @@ impl VariableStore {
         &self,
         path: PathBuf,
         lock: Option<FileLock>,
-        failed: impl Fn(String) + Send + 'static,
+        changed: impl Fn(Result<(), String>) + Send + 'static,
     ) -> io::Result<()> {
         let mut inner = self.lock();
         match kept_file::load(&path) {
@@ -192,7 +191,7 @@ impl VariableStore {
                 ));
             }
         }
-        inner.file = Some(PersistenceFile::start(path, lock, failed)?);
+        inner.file = Some(PersistenceFile::start(path, lock, changed)?);
         Ok(())
     }
 
@@ -237,7 +236,7 @@ impl VariableStore {
             let (rights, asked) = (rights.clone(), access.clone());
             store.serve(access, Box::new(move || may(&rights, from, &asked)), reply);
         };
-        Ok(ContractPort::of_service_fn(ServiceFn::<VariableRequest>(Arc::new(serve))))
+        Ok(ContractPort::served_by(serve))
     }
 
     /// An incarnation of the object has ended: applies the policies.

@@ -13,7 +13,6 @@ use super::supervision::GiveUpReason;
 use super::{Ladder, Plan, RecoveryAction};
 use crate::detection::RecoveryOutcome;
 use crate::sorted::SortedMap;
-use crate::timer::Timers;
 use crate::{Fault, FaultId, FaultKind, FaultLocation, Instant, Machine, NodeName};
 use std::collections::VecDeque;
 
@@ -209,7 +208,16 @@ impl Recoverer {
         }
     }
 
+    /// Treats a fault. Where that opens no case, its symptoms are not kept waiting for one.
     fn treat(&mut self, fault: Fault, now: Instant) {
+        let id = fault.id;
+        self.open_case(fault, now);
+        if !self.is_open(id) {
+            self.release_symptoms(&[id], now);
+        }
+    }
+
+    fn open_case(&mut self, fault: Fault, now: Instant) {
         let since = self.orders;
         let ladder = self.plan.answer(&self.node, &fault.kind, &fault.location);
         if ladder.steps()[0].action == RecoveryAction::Observe {
@@ -475,10 +483,12 @@ impl Machine for Recoverer {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        self.next_due()
+        let cases = self.cases.values().map(|case| case.due);
+        cases.chain(self.symptoms.values().filter_map(|symptom| symptom.due)).min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
-        self.fire_due(now);
+        self.act_on_cases(now);
+        self.treat_symptoms(now);
     }
 }

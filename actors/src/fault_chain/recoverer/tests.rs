@@ -1,5 +1,7 @@
 use super::*;
-use crate::fault_chain::strategy::{ApplyOutputs, RecoveryStrategy, SafeOutputs, StrategyTargets};
+use crate::fault_chain::strategy::{
+    ApplyOutputs, NetworkOrders, RecoveryStrategy, SafeOutputs, StrategyTargets,
+};
 use crate::fault_chain::supervisor::SupervisorChild;
 use crate::fault_chain::tests::scripted::{Bench, ScriptedReply, fault};
 use crate::registry::Registry;
@@ -48,7 +50,10 @@ impl Chain {
             node: here.clone(),
             directory: bench.directory.clone(),
             registry: Registry::default(),
-            router: Arc::new(std::sync::OnceLock::from((router.recipient(), network.recipient()))),
+            network: Arc::new(std::sync::OnceLock::from(NetworkOrders {
+                reroute: router.recipient(),
+                isolate: network.recipient(),
+            })),
             safe_outputs: SafeOutputs::new(
                 Some(apply),
                 Callbacks::default(),

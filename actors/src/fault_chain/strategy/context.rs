@@ -15,6 +15,12 @@ use blastema_core::{
 };
 use std::sync::{Arc, OnceLock};
 
+/// Where the network takes the orders of strategies.
+pub(crate) struct NetworkOrders {
+    pub(crate) reroute: Recipient<Reroute>,
+    pub(crate) isolate: Recipient<IsolateNode>,
+}
+
 /// What a [`StrategyContext`] reaches.
 pub(crate) struct StrategyTargets {
     pub(crate) node: NodeName,
@@ -22,13 +28,13 @@ pub(crate) struct StrategyTargets {
     pub(crate) registry: Registry,
     /// Empty in a node without a network. The network needs the recoverer, and the recoverer the
     /// network: that is why it is filled later.
-    pub(crate) router: Arc<OnceLock<(Recipient<Reroute>, Recipient<IsolateNode>)>>,
+    pub(crate) network: Arc<OnceLock<NetworkOrders>>,
     pub(crate) safe_outputs: SafeOutputs,
     pub(crate) rest_node: Recipient<EnterSafeState>,
 }
 
 /// The actions available to a [`RecoveryStrategy`](super::RecoveryStrategy): orders to the
-/// supervisors, the router and the components of its node.
+/// supervisors, the network and the components of its node.
 #[derive(Clone)]
 pub struct StrategyContext(Arc<StrategyTargets>);
 
@@ -122,8 +128,8 @@ impl StrategyContext {
     /// # Errors
     /// There is no other way, or no network.
     pub async fn reroute(&self, location: &FaultLocation) -> Result<RecoveryDone, RecoveryFailed> {
-        let (router, _) = self.0.router.get().ok_or("this node has no network")?;
-        match router.send(Reroute { location: location.clone() }).await {
+        let network = self.0.network.get().ok_or("this node has no network")?;
+        match network.reroute.send(Reroute { location: location.clone() }).await {
             Ok(outcome) => outcome,
             Err(_) => Err("the router did not answer".into()),
         }
@@ -169,9 +175,9 @@ impl StrategyContext {
             if *node == self.0.node {
                 return Err("a node cannot isolate itself: let it enter the safe state".into());
             }
-            let (_, network) = self.0.router.get().ok_or("this node has no network")?;
+            let network = self.0.network.get().ok_or("this node has no network")?;
             let (node, cause) = (node.clone(), cause.to_owned());
-            let decided = network.send(IsolateNode { node, isolated, cause }).await;
+            let decided = network.isolate.send(IsolateNode { node, isolated, cause }).await;
             return decided.unwrap_or_else(|_| Err("the network did not answer".into()));
         }
         let reason = cause.to_owned();

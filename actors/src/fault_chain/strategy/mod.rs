@@ -15,7 +15,7 @@ mod outputs;
 mod table;
 
 pub use context::StrategyContext;
-pub(crate) use context::StrategyTargets;
+pub(crate) use context::{NetworkOrders, StrategyTargets};
 pub(crate) use outputs::{ApplyOutputs, NOT_RETURNED, SAFE_OUTPUTS, SafeOutputs};
 pub(crate) use table::{EngagedStrategy, StrategyTable, object_of};
 

@@ -356,9 +356,9 @@ impl LinksActor {
 
     /// Tells discovery whether a link is up, and with whom.
     pub(super) fn tell_discovery(&mut self, number: LinkId, state: LinkState) {
-        let (Some(discovery), Some(spec)) = (&mut self.discovery, self.specs.get(&number)) else {
-            return;
-        };
+        // An operator dials in again by itself.
+        let described = self.specs.get(&number).filter(|_| !self.wiring.dial_in.contains(&number));
+        let (Some(discovery), Some(spec)) = (&mut self.discovery, described) else { return };
         let up = match state {
             LinkState::Up => true,
             LinkState::Down => false,

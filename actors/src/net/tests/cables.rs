@@ -40,7 +40,7 @@ async fn a_slow_medium_is_dearer_and_is_spared_hellos() {
     assert!(rows[0].hello_interval > 80 * MS, "{:?}", rows[0].hello_interval);
     assert_eq!(rows[1].hello_interval, 50 * MS);
     assert!(rows.iter().all(|row| row.state == LinkState::Up), "{rows:?}");
-    assert_eq!(left.net.read_routes().await.routes[0].next, LinkId(1));
+    assert_eq!(left.net.read_routes().await[0].next, LinkId(1));
 }
 
 #[blastema_macros::test(crate = "blastema_doubles")]

@@ -56,7 +56,7 @@ async fn a_path_that_becomes_smaller_resets_no_session_and_the_fault_ends_when_i
     let (robot, left, right) = pair_over(CONFIGURED).await;
     mirror(&left, 3_000, 5).await;
     assert_eq!(condition(&left), LinkCondition::Up);
-    assert_eq!(mtu(&left.net.read_routes().await.routes), 1_472);
+    assert_eq!(mtu(&left.net.read_routes().await), 1_472);
 
     drop_above(&robot, 1_300);
     mirror(&left, 3_000, 5).await;
@@ -74,5 +74,5 @@ async fn a_path_that_becomes_smaller_resets_no_session_and_the_fault_ends_when_i
     assert_eq!(left.links.drain(), []);
     advance(15_000 * MS).await;
     assert_eq!(condition(&left), LinkCondition::Up);
-    assert_eq!(mtu(&left.net.read_routes().await.routes), 1_472);
+    assert_eq!(mtu(&left.net.read_routes().await), 1_472);
 }

@@ -9,7 +9,7 @@ use crate::fault_chain::directory::SupervisorDirectory;
 use crate::fault_chain::outside::{ChainWatch, OutsideSetup};
 use crate::fault_chain::recoverer::{RecovererActor, RecovererSetup};
 use crate::fault_chain::strategy::{
-    SAFE_OUTPUTS, SafeOutputs, StrategyContext, StrategyTargets, object_of,
+    NetworkOrders, SAFE_OUTPUTS, SafeOutputs, StrategyContext, StrategyTargets, object_of,
 };
 use crate::liveness::sampler::SamplerGuard;
 use crate::node::builder::{FaultDescription, NodeBuilder};
@@ -25,7 +25,7 @@ use actix::prelude::*;
 use blastema_contract::monitor::{NodeEnding, Register, Unregister};
 use blastema_contract::notifier::AddPort;
 use blastema_contract::reports::AreYouAlive;
-use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};
+use blastema_contract::strategy::EnterSafeState;
 use blastema_core::detection::{RecovererPort, RegistrationError};
 use blastema_core::recovery;
 use blastema_core::{Fault, FaultKind, Incarnation, NodeName, ObjectName};
@@ -52,7 +52,7 @@ pub(in crate::node) struct FaultChain {
     stands: watch::Sender<bool>,
     pub(in crate::node) safe_outputs: SafeOutputs,
     pub(in crate::node) callbacks: Callbacks,
-    pub(super) router: Arc<OnceLock<(Recipient<Reroute>, Recipient<IsolateNode>)>>,
+    pub(super) network: Arc<OnceLock<NetworkOrders>>,
     guards: Mutex<ChainGuards>,
 }
 
@@ -204,12 +204,12 @@ pub(super) fn make_chain(
 
     let (directory, registry) = (SupervisorDirectory::default(), Registry::default());
     registry.watch_in(guardian.watched());
-    let router = Arc::<OnceLock<_>>::default();
+    let network = Arc::<OnceLock<_>>::default();
     let context = StrategyContext::new(StrategyTargets {
         node: node.clone(),
         directory: directory.clone(),
         registry: registry.clone(),
-        router: router.clone(),
+        network: network.clone(),
         safe_outputs: safe_outputs.clone(),
         rest_node: controller.clone().recipient(),
     });
@@ -246,7 +246,7 @@ pub(super) fn make_chain(
         stands: watch::Sender::new(false),
         safe_outputs,
         callbacks,
-        router,
+        network,
         guards: Mutex::default(),
     };
     Ok((chain, registry, actuators))

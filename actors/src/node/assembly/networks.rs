@@ -5,6 +5,7 @@ use super::{KeptObject, NodeAssembly, named};
 use crate::component::spec_error::SpecError;
 use crate::directory::DirectoryTable;
 use crate::directory::actor::{DirectoryActor, DirectorySetup};
+use crate::fault_chain::strategy::NetworkOrders;
 use crate::net::{self, DirectoryLine, NetEnvironment, NetHandle, NetReports};
 use crate::node::Shared;
 use crate::node::controller::SubscribeSafeState;
@@ -231,10 +232,10 @@ fn make_networks(
     let directory = Some(DirectoryLine { reports: directory.reports, network });
     let net_environment = NetEnvironment { directory, ..net_environment };
     let handle = net::start(net_environment, specs);
-    chain.controller.do_send(SubscribeSafeState(handle.safe_states()));
+    chain.controller.do_send(SubscribeSafeState(handle.stack()));
     kept.extend(handle.pings().into_iter().map(|(name, pings)| (name, Some(pings))));
     // The recipient is set once, here.
-    let _ = chain.router.set((handle.reroute(), handle.isolation()));
+    let _ = chain.network.set(NetworkOrders { reroute: handle.stack(), isolate: handle.stack() });
     for neighbour in neighbours {
         let recover = handle.recoverer_of(&neighbour);
         let port = RecovererPort::Remote(neighbour);

@@ -5,7 +5,7 @@ use super::{Cable, NetworkRow};
 use crate::directory::DirectoryTable;
 use crate::directory::{Claim, ClaimError, ClaimPolicy, ClaimRow, Holder, NameWatch, NodeRow};
 use crate::net::RosterRow;
-use crate::net::operator::{self, KeyStatus, OrderError};
+use crate::net::operator::{self, KeyStatus, OrderError, OrderIsolation};
 use crate::node::order::{COMPONENTS, ComponentOrder, OrderReply};
 use crate::node::{Node, NodeState};
 use crate::platform;
@@ -25,9 +25,12 @@ use blastema_core::{DeliveryError, NameError, NodeName, ObjectName, Request};
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
+use tracing::warn;
 
 /// How often it is looked who is there: soon enough for a start, and rare enough to cost nothing.
 const LOOK_AGAIN: Duration = Duration::from_millis(10);
+/// The longest reason of an operator's order, in characters.
+const REASON_MAX: usize = 160;
 /// Why a node was neither isolated nor admitted: nothing has changed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
@@ -107,7 +110,7 @@ impl Node {
     /// Every node that can be reached from here, and over which link.
     pub async fn routes(&self) -> Vec<Route> {
         let Some(networks) = &self.0.networks else { return Vec::new() };
-        networks.handle.read_routes().await.routes
+        networks.handle.read_routes().await
     }
 
     /// The roster that this node uses, with its serial number; none without keys.
@@ -143,7 +146,7 @@ impl Node {
     /// Makes this node's router panic, for demonstrations and tests; nothing without a network.
     pub fn panic_router(&self) {
         if let Some(networks) = &self.0.networks {
-            networks.handle.router().do_send(InjectPanic);
+            networks.handle.stack().do_send(InjectPanic);
         }
     }
 
@@ -276,7 +279,7 @@ impl Node {
     /// Nothing has changed: the name does not parse, is this node's own, or is not that of a node
     /// that this one has met or was configured with, as neighbour or member of a service.
     pub fn isolate(&self, node: &str) -> Result<(), IsolateError> {
-        self.set_isolated(node, true)
+        self.set_isolated(node, true, "the application says so".to_owned())
     }
 
     /// Admits a node that this one has isolated. The session with that node is opened again.
@@ -284,17 +287,31 @@ impl Node {
     /// # Errors
     /// As [`isolate`](Self::isolate).
     pub fn admit(&self, node: &str) -> Result<(), IsolateError> {
-        self.set_isolated(node, false)
+        self.set_isolated(node, false, "the application says so".to_owned())
     }
 
-    fn set_isolated(&self, node: &str, isolated: bool) -> Result<(), IsolateError> {
+    /// # Errors
+    /// Why nothing was done.
+    pub(in crate::node) fn isolate_by_order(
+        &self,
+        order: &OrderIsolation,
+        by: &NodeName,
+    ) -> Result<(), String> {
+        let OrderIsolation { node, isolated, reason } = order;
+        let reason: String = reason.chars().take(REASON_MAX).collect();
+        let because = if reason.is_empty() { "" } else { ": " };
+        let cause = format!("by order of {by}{because}{reason}");
+        warn!(target: "blastema::audit", node, isolated, operator = %by, "{cause}");
+        self.set_isolated(node, *isolated, cause).map_err(|error| error.to_string())
+    }
+
+    fn set_isolated(&self, node: &str, isolated: bool, cause: String) -> Result<(), IsolateError> {
         let node = NodeName::new(node)?;
         if node == self.0.name {
             return Err(IsolateError::Oneself { node });
         }
         let networks = self.0.networks.as_ref().filter(|networks| networks.know(&node));
         let Some(networks) = networks else { return Err(self.unknown(node)) };
-        let cause = "the application says so".to_owned();
         networks.handle.decide(IsolateNode { node, isolated, cause });
         Ok(())
     }

@@ -63,7 +63,7 @@ impl Detector {
                 let id = self.find(&scene, FaultKind::Overload, detail, Cause::Above);
                 self.put_behind(id, victims.iter().filter(|&victim| victim != object));
             }
-            Finding::Flows => self.end_overload(&scene),
+            Finding::Flows => self.end_kind(&scene, &FaultKind::Overload),
             Finding::Resumed => {
                 self.seen(object).behind = None;
                 self.end_kind(&scene, &FaultKind::Hang);
@@ -83,9 +83,11 @@ impl Detector {
         self.objects.get_mut(object).expect("`judge_object` has put it there")
     }
 
-    /// The hang or overload behind which an object is blocked.
+    /// The hang, or the overload that still stands, behind which an object is blocked. Where the
+    /// culprit of a hang has been replaced elsewhere, its victims stand until they are freed.
     pub(super) fn behind(&self, object: &ObjectName) -> Option<FaultId> {
-        self.objects.get(object)?.behind
+        let behind = self.objects.get(object)?.behind;
+        behind.filter(|&id| self.is_hang(id) || self.fault_log.stands(id))
     }
 
     /// What is seen of an incarnation that is over changes nothing; but that it panicked is
@@ -141,16 +143,6 @@ impl Detector {
                 seen.behind = Some(id);
             }
         }
-    }
-
-    /// None waits behind the overload of this place any more.
-    fn end_overload(&mut self, scene: &Scene) {
-        if let Some(id) = self.fault_log.open_fault(&scene.location, &FaultKind::Overload) {
-            for seen in self.objects.values_mut() {
-                seen.behind.take_if(|root| *root == id);
-            }
-        }
-        self.end_kind(scene, &FaultKind::Overload);
     }
 
     fn is_hang(&self, id: FaultId) -> bool {
@@ -345,7 +337,7 @@ impl Detector {
                 let id = self.find(&scene, FaultKind::Overload, detail, Cause::Itself);
                 self.put_behind(id, victims.iter());
             }
-            NodeCondition::Relieved => self.end_overload(&scene),
+            NodeCondition::Relieved => self.end_kind(&scene, &FaultKind::Overload),
             NodeCondition::Offends { what } => {
                 if let Some(detail) = self.nodes.handle_offence(&node, what, scene.at) {
                     self.find(&scene, FaultKind::NodeFaulty, detail, Cause::Itself);
@@ -434,8 +426,6 @@ impl Detector {
         }
     }
 
-    /// An object that stands still does so behind a hang, or because of what else is wrong with
-    /// itself, or because of what it depends on.
     /// The hang that kept the thread; where the culprit was cut off before it was found to hang,
     /// what was found of the culprit shortly before.
     fn cause_of_loss(&self, victim: &ObjectName, culprit: &ObjectName, at: Instant) -> Cause {
@@ -453,18 +443,17 @@ impl Detector {
         self.behind(victim).or_else(of_culprit).map_or(Cause::Above, Cause::Known)
     }
 
+    /// An object that stands still does so behind a hang, or because of what else is wrong with
+    /// itself, or because of what it depends on.
     fn cause_of_standstill(&self, object: &ObjectName, scene: &Scene) -> Cause {
-        // Also where the culprit has been replaced elsewhere: its victims stand until they are
-        // freed.
-        let behind =
-            self.behind(object).filter(|&id| self.is_hang(id) || self.fault_log.stands(id));
         let own = || {
             let here = self.fault_log.open_faults_at(&scene.location);
             here.filter(|fault| fault.kind.is_down() && fault.kind != FaultKind::Silence)
                 .map(|fault| fault.id)
                 .min()
         };
-        behind.map(Cause::Behind).unwrap_or_else(|| own().map_or(Cause::Above, Cause::Known))
+        let behind = self.behind(object).map(Cause::Behind);
+        behind.unwrap_or_else(|| own().map_or(Cause::Above, Cause::Known))
     }
 }
 

@@ -1,6 +1,6 @@
 //! What each node of a roster may do at this one, and what it was refused.
 
-use super::policy::{Permission, PolicyLine, Role, Verb, permission};
+use super::policy::{PolicyLine, Role, Verb, permission};
 use super::roster::NodeRoster;
 use crate::net::NodeId;
 use crate::sorted::SortedMap;
@@ -119,17 +119,11 @@ impl AccessPolicy {
         object: &str,
         contract: &str,
     ) -> Result<(), Box<AccessDenied>> {
-        let known = self.nodes.get(&peer);
-        let verdict = match known {
+        let permitted = match self.nodes.get(&peer) {
             Some((name, role)) => permission(&self.lines, name, *role, verb, object, contract),
-            None => Permission::RefusedByRole(Role::Guest),
+            None => Err(None),
         };
-        let line = match verdict {
-            Permission::Allowed => return Ok(()),
-            Permission::RefusedByLine(line) => Some(line),
-            Permission::RefusedByRole(_) => None,
-        };
-        Err(self.denied(peer, verb, object, contract, line))
+        permitted.map_err(|line| self.denied(peer, verb, object, contract, line))
     }
 
     /// Whether a node may claim a name of the robot, and serve under it.

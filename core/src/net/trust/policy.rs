@@ -154,17 +154,6 @@ pub struct PolicyLine {
     contract: Option<Pattern>,
 }
 
-/// What the policy says.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Permission {
-    /// The policy allows it.
-    Allowed,
-    /// It may not: this policy line, from 1 on, gives it to others.
-    RefusedByLine(usize),
-    /// It may not: its role does not, and no line gives it.
-    RefusedByRole(Role),
-}
-
 impl PolicyLine {
     /// Parses the words of a line.
     ///
@@ -211,7 +200,11 @@ impl fmt::Display for PolicyLine {
     }
 }
 
-/// Whether a peer of this role may do this, by these lines.
+/// Whether a peer of this role may do this, by these lines. For all lines that match the verb, the
+/// object and the contract, the peer must be named in one. Where no line matches, its role decides.
+///
+/// # Errors
+/// It may not: this line, from 1 on, gives it to others; or its role does not, and no line gives it.
 pub(super) fn permission(
     lines: &[PolicyLine],
     peer: &NodeName,
@@ -219,19 +212,18 @@ pub(super) fn permission(
     verb: Verb,
     object: &str,
     contract: &str,
-) -> Permission {
+) -> Result<(), Option<usize>> {
     let mut refused = None;
     for (place, line) in lines.iter().enumerate() {
         if line.matches(verb, object, contract) {
             if line.peers.contains(peer) {
-                return Permission::Allowed;
+                return Ok(());
             }
             refused.get_or_insert(place + 1);
         }
     }
     match refused {
-        Some(line) => Permission::RefusedByLine(line),
-        None if role.may(verb) => Permission::Allowed,
-        None => Permission::RefusedByRole(role),
+        None if role.may(verb) => Ok(()),
+        refused => Err(refused),
     }
 }

@@ -13,7 +13,7 @@
 //! ```
 
 use super::crypto::{PublicKey, PublicKeys, SIGNATURE_BYTES, Seed};
-use super::policy::{Permission, PolicyLine, Role, Verb, permission};
+use super::policy::{PolicyLine, Role};
 use super::text::{Lines, PEERS_END, TrustError, TrustProblem, decode, encode, public_key};
 use crate::NodeName;
 use crate::net::NodeId;
@@ -150,24 +150,6 @@ impl NodeRoster {
             Ordering::Less => RosterOrder::Older,
             Ordering::Equal if offered == self => RosterOrder::Same,
             Ordering::Equal => RosterOrder::Conflicting,
-        }
-    }
-
-    /// Whether a listed peer may do this at an object by a contract; a peer that is not listed may
-    /// do nothing, and has the role of a guest here.
-    ///
-    /// For all lines that match the verb, the object and the contract, the peer must be named in
-    /// one. Where no line matches, its role decides.
-    pub fn permission(
-        &self,
-        peer: &NodeName,
-        verb: Verb,
-        object: &str,
-        contract: &str,
-    ) -> Permission {
-        match self.node(peer) {
-            Some(node) => permission(&self.policy, peer, node.role, verb, object, contract),
-            None => Permission::RefusedByRole(Role::Guest),
         }
     }
 

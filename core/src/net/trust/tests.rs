@@ -1,12 +1,14 @@
 //! The files and the policy as a whole.
 
+use super::access::AccessPolicy;
 use super::crypto::{KEY_BYTES, Seed};
 use super::key_file::{KEY_FILE_BYTES, KeyFile, RobotFile};
-use super::policy::{Pattern, Permission, PolicyLine, Role, Verb};
+use super::policy::{Pattern, PolicyLine, Role, Verb};
 use super::roster::{NodeRoster, ROSTER_BYTES, ROSTER_NODES, RosterNode, RosterOrder};
 use super::text::TrustProblem;
 use super::text::{decode, encode};
 use crate::NodeName;
+use crate::net::wire::node_id::NodeId;
 use proptest::prelude::*;
 
 fn name(text: &str) -> NodeName {
@@ -188,37 +190,40 @@ fn a_pattern_is_of_parts_between_slashes() {
 
 #[test]
 fn what_a_peer_may_do_follows_from_its_role_and_from_the_lines_that_match() {
-    use Permission::{Allowed, RefusedByLine, RefusedByRole};
+    const BY_ROLE: Result<(), Option<usize>> = Err(None);
     let roster = roster();
+    let permitted = |roster: &NodeRoster, peer: &str, verb, object: &str, contract: &str| {
+        let policy = AccessPolicy::new(name("base"), roster);
+        let checked = policy.check(NodeId::of(&name(peer)), verb, object, contract);
+        checked.map_err(|denied| denied.line)
+    };
     let check = |peer: &str, verb, object: &str, contract: &str, expected| {
-        let found = roster.permission(&name(peer), verb, object, contract);
+        let found = permitted(&roster, peer, verb, object, contract);
         assert_eq!(found, expected, "{peer} {verb} {object} {contract}");
     };
     // A line names them, or others.
-    check("base", Verb::Lease, "base/wheels", "drive", Allowed);
-    check("laptop", Verb::Lease, "base/wheels", "drive", Allowed);
-    check("arm", Verb::Lease, "base/wheels", "drive", RefusedByLine(1));
-    check("base", Verb::Ask, "arm/elbow", "motion/move", RefusedByLine(2));
-    check("visitor", Verb::Ask, "arm/elbow", "motion/move", Allowed);
+    check("base", Verb::Lease, "base/wheels", "drive", Ok(()));
+    check("laptop", Verb::Lease, "base/wheels", "drive", Ok(()));
+    check("arm", Verb::Lease, "base/wheels", "drive", Err(Some(1)));
+    check("base", Verb::Ask, "arm/elbow", "motion/move", Err(Some(2)));
+    check("visitor", Verb::Ask, "arm/elbow", "motion/move", Ok(()));
     // No line is of this object, this verb, or this contract.
-    check("arm", Verb::Lease, "base/lamp", "drive", Allowed);
-    check("base", Verb::Read, "arm/elbow", "motion/move", Allowed);
-    check("base", Verb::Ask, "arm/elbow", "state/now", Allowed);
-    check("visitor", Verb::Ask, "arm/elbow", "state/now", RefusedByRole(Role::Guest));
+    check("arm", Verb::Lease, "base/lamp", "drive", Ok(()));
+    check("base", Verb::Read, "arm/elbow", "motion/move", Ok(()));
+    check("base", Verb::Ask, "arm/elbow", "state/now", Ok(()));
+    check("visitor", Verb::Ask, "arm/elbow", "state/now", BY_ROLE);
     // One verb is a role's own.
     for (peer, operate) in [("base", false), ("laptop", true), ("tower", false)] {
-        let role = roster.node(&name(peer)).expect("it is listed").role;
-        let may = |may: bool| if may { Allowed } else { RefusedByRole(role) };
-        check(peer, Verb::Operate, "base/wheels", "stop", may(operate));
+        let expected = if operate { Ok(()) } else { BY_ROLE };
+        check(peer, Verb::Operate, "base/wheels", "stop", expected);
     }
-    check("stranger", Verb::Listen, "pose", "pose", RefusedByRole(Role::Guest));
+    check("stranger", Verb::Listen, "pose", "pose", BY_ROLE);
     // Another line that names a peer opens to it what the first one gives to others.
     let opened = roster.to_text().replace("end", "  only arm may lease on base/*\nend");
     let opened = NodeRoster::parse(&opened).expect("the line is right");
-    assert_eq!(opened.permission(&name("arm"), Verb::Lease, "base/wheels", "drive"), Allowed);
+    assert_eq!(permitted(&opened, "arm", Verb::Lease, "base/wheels", "drive"), Ok(()));
     for verb in Verb::ALL {
-        let guest = roster.permission(&name("visitor"), *verb, "x", "y");
-        assert_eq!(guest, RefusedByRole(Role::Guest), "{verb}");
+        check("visitor", *verb, "x", "y", BY_ROLE);
     }
 }
 

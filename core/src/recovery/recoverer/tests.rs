@@ -396,6 +396,19 @@ fn kinds_without_an_action_are_observed_and_hold_no_symptoms_back() {
 }
 
 #[test]
+fn what_waits_behind_a_symptom_that_is_only_observed_is_treated() {
+    let mut rig = Rig::new();
+    rig.find(fault(1, FaultKind::Hang, at("planner"), 1));
+    let load = Fault { kind: FaultKind::Overload, ..symptom(2, "laser", 1) };
+    assert_eq!(rig.find(load.clone()), [""; 0]);
+    assert_eq!(rig.find(symptom(3, "scan", 2)), [""; 0]);
+
+    assert_eq!(rig.find(Fault { symptom_of: None, ..load }), ["2 observed"]);
+    let restart = "#2 restart here:scan against silence, 1";
+    assert_eq!(rig.pass(Duration::from_millis(200)), [restart]);
+}
+
+#[test]
 fn a_lost_node_is_observed_when_no_other_way_leads_there() {
     let mut rig = Rig::new();
     let there = FaultLocation::Node(NodeName::new("there").expect("a good name"));
