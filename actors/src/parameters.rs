@@ -195,8 +195,9 @@ impl<C: Component> ComponentCell<C> {
 impl<P: Parameters> VariableRef<P> {
     /// Sets one parameter. Returns the new revision.
     ///
-    /// # Errors As [`write_if`](VariableRef::write_if); [`DeliveryError::CheckFailed`] names the
-    /// problem: the value's range, its type, or an unknown parameter, with the nearest name.
+    /// # Errors
+    /// As [`write_if`](VariableRef::write_if); [`DeliveryError::CheckFailed`] names the problem: the
+    /// value's range, its type, or an unknown parameter, with the nearest name.
     pub async fn set(&self, key: &str, value: ParameterValue) -> Result<u64, DeliveryError> {
         loop {
             let reading = self.read().await?;

@@ -13,7 +13,10 @@
 //! * `medium_timer.rs`: a time that a medium waits for.
 //! * `reopen_backoff.rs`: a medium that cannot be opened is tried again, with back-off.
 //! * `can_node.rs`: what CAN sockets and CAN adapters share: messages longer than a frame.
-//! * `bound_address.rs`, `frame_split.rs`: what the media with sockets share.
+//! * `bound_address.rs`, `descriptors.rs`, `frame_split.rs`: what the media with sockets share;
+//!   `stream/`: what those with connections do; `usb_device.rs`: what adapters on USB do.
+//! * `frame_transport.rs`, `reach.rs`: the transport of a medium of the application's own, and from
+//!   how far away an address can be used.
 //!
 //! Deliberately not here: who is a neighbour and whether it lives (the link), what a frame says
 //! (router, session), order and repetition (session).

@@ -342,9 +342,9 @@ impl<C: Component> Context<C> {
     /// ends. If it is not running or unknown, `Down` is sent at once. The object is a component, a
     /// supervisor or one of the middleware's own, here or, as `module2:arm`, on another node; of
     /// such a one it is also told when its node is lost, unless that node has said that no object
-    /// has the name, and it is watched further when that is back. The name is watched: also an object that gets it
-    /// later, or again after another one was removed. While no object of another node has the name,
-    /// that node is asked once a second.
+    /// has the name, and it is watched further when that is back. The name is watched: also an
+    /// object that gets it later, or again after another one was removed. While no object of another
+    /// node has the name, that node is asked once a second.
     ///
     /// A notice comes before the messages that wait, and though the queue is full. Of an object
     /// that ended twice before the component had its turn the last end is reported. The watch ends

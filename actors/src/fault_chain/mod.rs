@@ -6,10 +6,10 @@
 //! and unconfirmed outputs are sent again.
 //!
 //! On their thread runs no code of the application but the subscriber of `tracing` that it has
-//! installed, and the `Drop` of what the factory of a removed component had captured: its
-//! strategies, safe outputs and cut-offs are [called elsewhere](callbacks), what waited for a
-//! component that has ended is dropped elsewhere, and [a thread of its own](outside) looks whether
-//! the chain answers. So the chain needs no other thread to go to.
+//! installed, and the `Drop` of two things: the messages that wait for a component that is not
+//! started again, and what the factory of a removed component had captured. Its strategies, safe
+//! outputs and cut-offs are [called elsewhere](callbacks), and [a thread of its own](outside) looks
+//! whether the chain answers. So the chain needs no other thread to go to.
 
 pub(crate) mod detection;
 pub(crate) mod directory;

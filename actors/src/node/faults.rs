@@ -25,7 +25,7 @@ pub struct FaultEvents {
     state: watch::Receiver<NodeState>,
 }
 
-/// Incarnations as long as the detector knows it and the reader exists.
+/// Lives as long as the detector knows it and the reader exists.
 #[derive(Debug)]
 pub(super) struct FaultListener {
     events: mpsc::Sender<FaultEvent>,

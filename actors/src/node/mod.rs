@@ -532,8 +532,8 @@ impl Node {
     ///
     /// #[blastema::main]
     /// async fn main() -> Result<(), Box<dyn std::error::Error>> {
-    ///     let node = Node::builder("module1").child(ChildSpec::new("lamp", ||
-    /// Lamp)).start().await?;
+    ///     let lamp = ChildSpec::new("lamp", || Lamp);
+    ///     let node = Node::builder("module1").child(lamp).start().await?;
     ///     node.run_until_signal().await?;
     ///     Ok(())
     /// }

@@ -1,9 +1,8 @@
 //! What is done for the robot's safety when a program ends otherwise than by [`Node::shutdown`].
 //!
 //! Nothing can be awaited then. The safe outputs and cut-offs are called on their own thread, and
-//! safe commands are
-//! put into the queues of actuators; for as long as a call may take, the thread that ends the
-//! program waits for them.
+//! safe commands are put into the queues of actuators; for as long as a call may take, the thread
+//! that ends the program waits for them.
 
 use super::{NodeState, Shared};
 use crate::actuator::ActuatorTable;

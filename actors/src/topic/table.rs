@@ -240,9 +240,10 @@ impl Topics {
             .collect()
     }
 
-    /// Ships every event that is published here on this topic to this node, from now on, also if the topic does
-    /// not exist yet; none if it carries no version that is `wanted`. Events that came in by
-    /// [`inject`](Self::inject) are not shipped. Ends the forward `before` in the same step.
+    /// Ships every event that is published here on this topic to this node, from now on, also if
+    /// the topic does not exist yet; none if it carries no version that is `wanted`. Events that
+    /// came in by [`inject`](Self::inject) are not shipped. Ends the forward `before` in the same
+    /// step.
     pub(crate) fn forward(
         &self,
         key: &TopicKey,

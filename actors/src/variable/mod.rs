@@ -323,7 +323,8 @@ impl Transaction {
 
     /// Writes all values. Returns the new revision.
     ///
-    /// # Errors The first error, as for [`VariableRef::write_if`]; no value is written then. After
+    /// # Errors
+    /// The first error, as for [`VariableRef::write_if`]; no value is written then. After
     /// [`DeliveryError::DeadlinePassed`], and where the node was lost meanwhile, it is not known
     /// whether everything or nothing was: read one of them.
     pub async fn commit(self) -> Result<u64, DeliveryError> {

@@ -1,8 +1,8 @@
 //! Between the links of a network and the router.
 //!
 //! ```text
-//! transport ──Received, TransportReport──► links ──LinkChanged, Arrived──► router
-//!           ◄─Transmit────────────────────       ◄────Carry────────────────────
+//! transport ── Received, TransportReport ──► links ── LinkChanged, ReceivedOnLink ──► router
+//!           ◄─ Transmit ────────────────────       ◄─ TransmitOnLink ────────────────
 //! ```
 
 use actix::{Message, Recipient};

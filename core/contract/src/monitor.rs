@@ -1,11 +1,10 @@
 //! What others may say to, and ask of, the monitor.
 //!
 //! ```text
-//! node ──Register, Unregister──►┐
-//! link, router ──LinkReported, NodeReported──► Monitor
-//! supervisor ──IsolationReported──►┤     ▲
-//! node ──NodeEnding──►──────────────┘     │
-//! anyone ──ReadTable─────────────────────┘
+//! node ── Register, Unregister, NodeEnding ──────┐
+//! link, router ── LinkReported, NodeReported ────┼──► Monitor
+//! supervisor ── IsolationReported ───────────────┤
+//! any actor ── ReadTable ────────────────────────┘
 //! ```
 //! What guards, components and the watch thread tell it stands in [`reports`](crate::reports).
 

@@ -77,7 +77,7 @@ impl GatherBuffer {
         self.body.is_empty() && self.head.len() >= Self::APART
     }
 
-    /// How many bytes [`behind`](Parcel::behind) copies behind the header.
+    /// How many bytes [`behind`](GatherBuffer::behind) copies behind the header.
     pub(crate) fn copied(&self) -> usize {
         if self.is_bare() { 0 } else { self.head.len() }
     }

@@ -295,7 +295,7 @@ impl Monitor {
         if self.is_full() && !self.peers.knows_node(&node) {
             return;
         }
-        let news = self.peers.handle_node(node, incarnation, condition, now).unwrap_or_default();
+        let news = self.peers.handle_node(node, incarnation, condition, now);
         news.into_iter().for_each(|news| self.observe(news));
     }
 

@@ -119,36 +119,36 @@ impl PeerTable {
     }
 
     /// The router reports how a node is. The same condition again is no change, a newer incarnation
-    /// is. A report of an incarnation that has left is none. Returns an error for the end of
-    /// an incarnation that is over, and for the rest of another one than is there.
+    /// is. A report of an incarnation that has left is none, nor is the end of an incarnation that is
+    /// over, or the rest of another one than is there.
     pub(super) fn handle_node(
         &mut self,
         node: NodeName,
         incarnation: Incarnation,
         condition: NodeCondition,
         now: Instant,
-    ) -> Result<Option<Observation>, Incarnation> {
+    ) -> Option<Observation> {
         use NodeCondition::{Admitted, AtWork, InSafeState, Isolated, Listed, Offends, Removed};
         use NodeCondition::{InSession, MessagesLost};
         if let Offends { .. } | Isolated { .. } | Admitted = condition {
-            return Ok(self.handle_offences(node, condition, now));
+            return self.handle_offences(node, condition, now);
         }
         if let MessagesLost { .. } | InSession = condition {
-            return Ok(Some(seen_of(node, incarnation, condition, now)));
+            return Some(seen_of(node, incarnation, condition, now));
         }
         if let InSafeState { .. } | AtWork = condition {
             return self.handle_rest(node, incarnation, condition, now);
         }
         if let Removed = condition {
-            return Ok(self.handle_removed(node, now));
+            return self.handle_removed(node, now);
         }
         if let Listed = condition {
             self.handle_listed(&node);
-            return Ok(None);
+            return None;
         }
         if let NodeCondition::MayBeAway = condition {
             self.nodes.entry(node).or_insert_with(NodeSeen::unmet).may_be_away = true;
-            return Ok(None);
+            return None;
         }
         let before = self.nodes.get(&node);
         // Which incarnation is there, those say who can reach it, whatever its number: the clock
@@ -162,15 +162,15 @@ impl PeerTable {
                     && seen.incarnation != Incarnation::default()
                     && seen.status == PeerStatus::Here)
         {
-            return Err(seen.incarnation);
+            return None;
         }
         let left = before.is_some_and(|seen| seen.status == PeerStatus::Left);
         if left && before.is_some_and(|seen| seen.incarnation == incarnation) {
-            return Ok(None);
+            return None;
         }
         let removed = before.is_some_and(|seen| seen.status == PeerStatus::Removed);
         if removed && !here {
-            return Ok(None);
+            return None;
         }
         // The first report of a node is no restart, whatever its number is; nor is an
         // incarnation of which nothing but the loss was ever known, nor one after another that had
@@ -209,7 +209,7 @@ impl PeerTable {
         let seen =
             NodeSeen { incarnation, status, last_sign, restarts, isolated, rest, may_be_away };
         self.nodes.insert(node.clone(), seen);
-        Ok(is_change.then(|| seen_of(node, incarnation, condition, now)))
+        is_change.then(|| seen_of(node, incarnation, condition, now))
     }
 
     /// The roster does not list a node any more, or the node at the other end of a link.
@@ -265,7 +265,7 @@ impl PeerTable {
         incarnation: Incarnation,
         condition: NodeCondition,
         now: Instant,
-    ) -> Result<Option<Observation>, Incarnation> {
+    ) -> Option<Observation> {
         let rest = match &condition {
             NodeCondition::InSafeState { reason } => Some(reason.clone()),
             _ => None,
@@ -280,11 +280,11 @@ impl PeerTable {
         // The last report of an incarnation may arrive after the first sign of the next, and would
         // never be cleared.
         if seen.incarnation != incarnation && seen.incarnation != Incarnation::default() {
-            return Err(seen.incarnation);
+            return None;
         }
         let is_change = rest.is_some() != seen.rest.is_some();
         seen.rest = rest;
-        Ok(is_change.then(|| seen_of(node, incarnation, condition, now)))
+        is_change.then(|| seen_of(node, incarnation, condition, now))
     }
 
     /// Links, then nodes.
@@ -409,7 +409,7 @@ mod tests {
         let away = |why: &str| (Opinion::Stopped, Some(format!("it may be away, and is: {why}")));
         let mut report = |incarnation, condition| {
             let news = table.handle_node(node("b"), Incarnation(incarnation), condition, at(1));
-            let finding = news.expect("it is of now").map(|change| change.finding);
+            let finding = news.map(|change| change.finding);
             (finding, row(&table))
         };
         assert_eq!(report(0, MayBeAway), (None, away("it was not met yet")));
@@ -460,25 +460,25 @@ mod tests {
             if let Some((incarnation, condition)) = before {
                 let first =
                     table.handle_node(node("b"), Incarnation(incarnation), condition, at(1));
-                assert!(first.is_ok_and(|change| change.is_some()));
+                assert!(first.is_some());
             }
             let change = table.handle_node(node("b"), Incarnation(then.0), then.1, at(2));
-            let finding = change.map(|change| change.map(|change| change.finding));
+            let finding = change.map(|change| change.finding);
             assert_eq!(finding, reported);
         };
-        let says = |condition| Ok(Some(Finding::Node(condition)));
+        let says = |condition| Some(Finding::Node(condition));
 
         check(None, (5, Restarted), says(Reachable));
         check(None, (5, lost()), says(lost()));
         for before in [Reachable, Restarted] {
-            check(Some((5, before.clone())), (5, Reachable), Ok(None));
-            check(Some((5, before.clone())), (5, Restarted), Ok(None));
+            check(Some((5, before.clone())), (5, Reachable), None);
+            check(Some((5, before.clone())), (5, Restarted), None);
             check(Some((5, before.clone())), (6, Reachable), says(Restarted));
             check(Some((5, before.clone())), (6, Restarted), says(Restarted));
             check(Some((5, before.clone())), (5, lost()), says(lost()));
-            check(Some((5, before)), (4, lost()), Err(Incarnation(5)));
+            check(Some((5, before)), (4, lost()), None);
         }
-        check(Some((5, lost())), (5, lost()), Ok(None));
+        check(Some((5, lost())), (5, lost()), None);
         check(Some((5, lost())), (5, Reachable), says(Reachable));
         check(Some((5, lost())), (6, Reachable), says(Restarted));
         // Only its loss was ever known: that it now has a number is no restart.
@@ -487,16 +487,16 @@ mod tests {
         check(None, (5, Left), says(Left));
         for before in [Reachable, Restarted, lost()] {
             check(Some((5, before.clone())), (5, Left), says(Left));
-            check(Some((5, before)), (4, Left), Err(Incarnation(5)));
+            check(Some((5, before)), (4, Left), None);
         }
         for after in [lost(), Left, Reachable, Restarted] {
-            check(Some((5, Left)), (5, after), Ok(None));
+            check(Some((5, Left)), (5, after), None);
         }
         for after in [Reachable, Restarted] {
             check(Some((5, Left)), (6, after), says(Reachable));
         }
         check(Some((5, Left)), (6, lost()), says(lost()));
-        check(Some((5, Left)), (6, Left), Ok(None));
+        check(Some((5, Left)), (6, Left), None);
     }
 
     #[test]
@@ -505,7 +505,7 @@ mod tests {
         let mut table = PeerTable::default();
         let mut reported = |condition: &NodeCondition| {
             let change = table.handle_node(node("b"), Incarnation(5), condition.clone(), at(1));
-            let finding = change.expect("no incarnation is over").map(|change| change.finding);
+            let finding = change.map(|change| change.finding);
             finding
                 .inspect(|finding| assert_eq!(*finding, Finding::Node(condition.clone())))
                 .is_some()
@@ -523,12 +523,12 @@ mod tests {
 
     /// Reports one node's incarnations; returns whether that is a change, and whether the node is
     /// at rest then.
-    fn rest_reported() -> impl FnMut(u64, NodeCondition) -> (Result<bool, Incarnation>, bool) {
+    fn rest_reported() -> impl FnMut(u64, NodeCondition) -> (bool, bool) {
         let mut table = PeerTable::default();
         move |incarnation, condition| {
             let change = table.handle_node(node("b"), Incarnation(incarnation), condition, at(1));
             let rests = table.rows(at(1)).any(|row| row.opinion == Opinion::Stopped);
-            (change.map(|change| change.is_some()), rests)
+            (change.is_some(), rests)
         }
     }
 
@@ -536,10 +536,6 @@ mod tests {
     fn a_node_stays_in_safe_state_until_it_reports_work_or_restarts() {
         use NodeCondition::{AtWork, InSafeState, Left, Lost, Reachable};
         let mut reported = rest_reported();
-        let mut reported = |incarnation, condition| {
-            let (change, rests) = reported(incarnation, condition);
-            (change.expect("no incarnation is over"), rests)
-        };
         let rest = || InSafeState { reason: "it panics".into() };
         let lost = || Lost { reason: "no path".into() };
 
@@ -564,15 +560,15 @@ mod tests {
         let rest = || InSafeState { reason: "it panics".into() };
 
         // Of an unknown incarnation.
-        assert_eq!(reported(0, Lost { reason: "no path".into() }), (Ok(true), false));
-        assert_eq!(reported(5, rest()), (Ok(true), false));
-        assert_eq!(reported(5, AtWork), (Ok(true), false));
-        assert_eq!(reported(5, Reachable), (Ok(true), false));
-        assert_eq!(reported(6, Reachable), (Ok(true), false));
+        assert_eq!(reported(0, Lost { reason: "no path".into() }), (true, false));
+        assert_eq!(reported(5, rest()), (true, false));
+        assert_eq!(reported(5, AtWork), (true, false));
+        assert_eq!(reported(5, Reachable), (true, false));
+        assert_eq!(reported(6, Reachable), (true, false));
 
-        assert_eq!(reported(5, rest()), (Err(Incarnation(6)), false));
-        assert_eq!(reported(6, rest()), (Ok(true), true));
-        assert_eq!(reported(5, AtWork), (Err(Incarnation(6)), true));
+        assert_eq!(reported(5, rest()), (false, false));
+        assert_eq!(reported(6, rest()), (true, true));
+        assert_eq!(reported(5, AtWork), (false, true));
     }
 
     #[test]
@@ -585,12 +581,12 @@ mod tests {
         };
         assert!(reported(&mut table, &up));
         let left = table.handle_node(node("b"), Incarnation(1), NodeCondition::Left, at(2));
-        assert!(left.is_ok_and(|change| change.is_some()));
+        assert!(left.is_some());
 
         assert!(!reported(&mut table, &down));
         assert!(reported(&mut table, &up), "it returns");
         let back = table.handle_node(node("b"), Incarnation(2), NodeCondition::Reachable, at(3));
-        assert!(back.is_ok_and(|change| change.is_some()));
+        assert!(back.is_some());
 
         assert!(reported(&mut table, &down), "this time it was not announced");
     }
@@ -605,7 +601,7 @@ mod tests {
         };
         let report = |table: &mut PeerTable, condition: NodeCondition| {
             let change = table.handle_node(node("b"), Incarnation(7), condition, at(2));
-            change.is_ok_and(|change| change.is_some())
+            change.is_some()
         };
         let lost = || NodeCondition::Lost { reason: "no path".into() };
         assert!(!report(&mut table, NodeCondition::Removed), "it was never heard of");

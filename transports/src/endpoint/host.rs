@@ -2,7 +2,6 @@
 
 use super::{Endpoint, EndpointError};
 use std::net::SocketAddr;
-use std::ops::Range;
 
 /// The medium of an endpoint string is before this.
 const BEHIND_MEDIUM: &str = "://";
@@ -15,10 +14,10 @@ const BEHIND_MEDIUM: &str = "://";
 ///
 /// let named = NamedHost::find("udp://arm.local:7400?mtu=1400").expect("a name");
 /// assert_eq!(named.name(), "arm.local:7400");
-/// let address = "10.0.0.2:7400".parse()?;
-/// assert_eq!(named.replaced_by(address), "udp://10.0.0.2:7400?mtu=1400");
+/// let (endpoint, _) = named.parse("10.0.0.2:7400".parse()?)?;
+/// assert_eq!(endpoint.to_string(), "udp://10.0.0.2:7400");
 /// assert!(NamedHost::find("10.0.0.2:7400").is_none());
-/// # Ok::<(), std::net::AddrParseError>(())
+/// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Clone, Copy, Debug)]
 pub struct NamedHost<'a> {
@@ -43,14 +42,7 @@ impl<'a> NamedHost<'a> {
 
     /// The name and the port.
     pub fn name(self) -> &'a str {
-        &self.text[self.range()]
-    }
-
-    /// The text with an address in place of the name and the port.
-    pub fn replaced_by(self, address: SocketAddr) -> String {
-        let mut text = self.text.to_owned();
-        text.replace_range(self.range(), &address.to_string());
-        text
+        &self.text[self.start..self.end]
     }
 
     /// Parses the text as an endpoint, with an address in place of the name.
@@ -59,10 +51,6 @@ impl<'a> NamedHost<'a> {
     /// As [`Endpoint::parse`]; they show the text with the name.
     pub fn parse(self, address: SocketAddr) -> Result<(Endpoint, bool), EndpointError> {
         Endpoint::parse_at(self.text, Some(address))
-    }
-
-    fn range(self) -> Range<usize> {
-        self.start..self.end
     }
 }
 

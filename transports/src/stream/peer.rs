@@ -33,7 +33,7 @@ pub(super) struct StreamPeer<F: StreamFamily> {
 ///          frame             kept                broken
 /// Absent ─────────► Dialing ───────► Connected ─────────┐
 ///    ▲                 │ failed                         ▼
-///    └─────────────────┴────────── pause over ─────── Resting
+///    └─────────────────┴────────── pause over ─────── Backoff
 /// ```
 /// A connection that the peer makes leads to `Connected` from anywhere.
 pub(super) enum ConnectionState<S> {

@@ -72,7 +72,8 @@ impl StrategyContext {
     /// Replaces the faulty incarnation by the next one, and its siblings as their supervisor's
     /// strategy requires. Resolves when all of them are active.
     ///
-    /// # Errors The new incarnation did not start, or the supervisor escalated.
+    /// # Errors
+    /// The new incarnation did not start, or the supervisor escalated.
     pub async fn restart(&self, fault: &Fault) -> Result<RecoveryDone, RecoveryFailed> {
         self.ask(&fault.location, ChildAction::Restart(Some(fault.clone()))).await.map(begun)
     }
@@ -80,8 +81,9 @@ impl StrategyContext {
     /// Moves a component to a thread of its own: its next incarnation runs there, with the same
     /// queue. Resolves when this incarnation is active.
     ///
-    /// # Errors The component already has a thread of its own, or the whole node runs on one
-    /// thread; or as [`restart`](StrategyContext::restart).
+    /// # Errors
+    /// The component already has a thread of its own, or the whole node runs on one thread; or as
+    /// [`restart`](StrategyContext::restart).
     pub async fn move_to_own_thread(&self, fault: &Fault) -> Result<RecoveryDone, RecoveryFailed> {
         self.ask(&fault.location, ChildAction::Move(Some(fault.clone()))).await.map(begun)
     }

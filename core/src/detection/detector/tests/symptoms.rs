@@ -190,6 +190,18 @@ fn a_component_silent_behind_an_overload_is_reported_and_not_treated() {
 }
 
 #[test]
+fn what_is_lost_after_an_overload_has_ended_is_no_symptom_of_it() {
+    let mut bench = Bench::new();
+    ["planner", "safety"].iter().for_each(|name| bench.depend(name, &[]));
+    bench.see("planner", ONE, overloaded(&["safety"]));
+    bench.see("planner", TWO, state(Lifecycle::Active));
+
+    bench.see("safety", ONE, Finding::Lost { culprit: object("planner") });
+
+    assert_eq!(bench.fault(2).symptom_of, None);
+}
+
+#[test]
 fn a_silence_for_lack_of_processor_time_is_a_symptom_of_the_node() {
     let mut bench = Bench::new();
     bench.depend("safety", &[]);
