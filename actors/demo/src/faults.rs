@@ -116,19 +116,20 @@ pub(crate) static FAULTS: [DemoFault; 10] = [
         "It is restarted after five that were missed.",
         "The robot counts its position from the start again.",
     ]),
-    fault("cable cut", (CABLES[0].far, ""), Blow::Cut(CABLES[0].name), FaultKind::LinkDown)
+    fault("cable cut", CABLES[0].far, "", Blow::Cut(CABLES[0].name), FaultKind::LinkDown)
         .told([
             "The first cable to the head goes silent, and stays so.",
             "Hellos are missed, and all messages take the second path.",
             "Nothing: what was on its way is sent again.",
         ])
         .paper('b', 12.0),
-    fault("both cables cut, return", (CABLES[0].far, ""), Blow::Blackout, FaultKind::NodeLost)
-        .told([
+    fault("both cables cut, return", CABLES[0].far, "", Blow::Blackout, FaultKind::NodeLost).told(
+        [
             "Both cables to the head are silent until that is found.",
             "Each side works on alone, and sessions go on when the cables return.",
             "The robot stands still: without a sweep of the laser the planner gives no command.",
-        ]),
+        ],
+    ),
     fault("panic in the router", Module::Module1, "", Blow::Router, FaultKind::Panic).told([
         "The router of the middle module panics: the middleware itself breaks.",
         "The guardian makes a new one, to which links and sessions attach.",

@@ -9,7 +9,6 @@ use crate::messaging::reply::Responder;
 use crate::platform::{self, lock};
 use crate::registry::access::{AccessControl, MessageOrigin};
 use crate::registry::encoding::{RequestRefusal, named_contract};
-use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, MessageMetadata, ReplyTo, Skeleton};
 use crate::runtime::callbacks::{CallOutcome, Callbacks};
 use crate::runtime::guardian::Guardian;
@@ -626,6 +625,7 @@ impl Actuator {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::registry::service_fn::ServiceFn;
     use blastema_core::NodeName;
     use blastema_core::net::NodeId;
     use std::sync::mpsc;

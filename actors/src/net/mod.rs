@@ -53,11 +53,11 @@ use actix::prelude::*;
 use actix_rt::ArbiterHandle;
 use blastema_contract::link::{AddLinks, LinkRow, ReadLinks};
 use blastema_contract::monitor::{LinkReported, NodeReported};
-use blastema_contract::recoverer::Recover;
+use blastema_contract::recoverer::{Recover, SafeStateChanged};
 use blastema_contract::reports::{AreYouAlive, LivenessReported};
 use blastema_contract::router::{InjectPanic, ReadRoutes};
 use blastema_contract::session::{DirectoryReport, ReadSessions, SendToDirectory, SessionRow};
-use blastema_contract::strategy::IsolateNode;
+use blastema_contract::strategy::{IsolateNode, Reroute};
 use blastema_contract::transport::{MediumAddress, ReadCounters, Transport, TransportCounters};
 use blastema_core::net::discovery::LEARNED_MAX;
 use blastema_core::net::{LinkId, Route};
@@ -402,13 +402,23 @@ impl NetHandle {
         self.stack.do_send(decision);
     }
 
-    /// Takes the messages of one type for the stack: the decisions of recovery strategies, the safe
-    /// states of this node, panics on purpose.
-    pub(crate) fn stack<M>(&self) -> Recipient<M>
-    where
-        M: Message<Result: Send> + Send + 'static,
-        stack::NetworkStack: Handler<M>,
-    {
+    /// Takes the decisions of recovery strategies about other nodes.
+    pub(crate) fn isolation(&self) -> Recipient<IsolateNode> {
+        self.stack.clone().recipient()
+    }
+
+    /// Takes requests for another way, from the recovery strategy.
+    pub(crate) fn reroute(&self) -> Recipient<Reroute> {
+        self.stack.clone().recipient()
+    }
+
+    /// Takes [`InjectPanic`], for the demonstration and tests.
+    pub(crate) fn panics(&self) -> Recipient<InjectPanic> {
+        self.stack.clone().recipient()
+    }
+
+    /// Is told of the safe state of this node, and tells peers.
+    pub(crate) fn safe_states(&self) -> Recipient<SafeStateChanged> {
         self.stack.clone().recipient()
     }
 

@@ -42,7 +42,7 @@ const TIME_INTERVAL: Duration = Duration::from_millis(200);
 const LOOK_INTERVAL: Duration = Duration::from_secs(1);
 
 /// The actor of the gateway, the sessions and the router.
-pub(crate) struct NetworkStack {
+pub(super) struct NetworkStack {
     pub(super) floors: Floors,
     wake: WakeTimer,
 }

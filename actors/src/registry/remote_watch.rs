@@ -29,7 +29,6 @@ use crate::messaging::sender::Sender;
 use crate::platform;
 use crate::platform::lock;
 use crate::registry::access::MessageOrigin;
-use crate::registry::service_fn::ServiceFn;
 use crate::registry::{Registry, WeakRegistry};
 use blastema_core::net::NodeId;
 use blastema_core::sorted::SortedMap;
@@ -388,6 +387,7 @@ impl Questions {
 mod tests {
     use super::*;
     use crate::messaging::death_watch::Deaths;
+    use crate::registry::service_fn::ServiceFn;
     use blastema_core::NodeName;
     use blastema_doubles::advance;
 

@@ -269,6 +269,12 @@ impl Topics {
         inner.renew_forwards(&forward.topic, None);
     }
 
+    /// How many topics other nodes listen to.
+    #[cfg(test)]
+    pub(super) fn forwarded(&self) -> usize {
+        lock(&self.inner).forwards.len()
+    }
+
     /// A forward of this topic has ended, and is kept: its listener is matched no more.
     pub(crate) fn renew_forwards(&self, topic: &ObjectName) {
         lock(&self.inner).renew_forwards(topic, None);

@@ -265,19 +265,34 @@ impl EventForward for ToNarrow {
 }
 
 /// A node begins to listen to a topic of samples.
-fn joins<E: Event>(topics: &Topics, topic: &str, node: &Arc<Narrow>) {
+fn joins<E: Event>(topics: &Topics, topic: &str, node: &Arc<Narrow>) -> ForwardId {
     let key = TopicKey::new(topic, E::NAME).unwrap();
     let wanted = vec![ContractIdentity::of::<E>().brief()];
     let far = NodeName::new("far").unwrap();
-    topics.forward(&key, far, wanted, Arc::new(ToNarrow(node.clone())), None);
+    topics.forward(&key, far, wanted, Arc::new(ToNarrow(node.clone())), None)
+}
+
+#[test]
+fn a_topic_that_no_other_node_listens_to_any_more_is_forgotten() {
+    let topics = Topics::new(DeadLetterLog::default(), FaultReports::default());
+    let publisher = topics.publisher::<Sample>("known").unwrap();
+    let node = Arc::<Narrow>::default();
+    let joined = ["known", "unknown"].map(|topic| joins::<Sample>(&topics, topic, &node));
+    assert_eq!(topics.forwarded(), 2);
+
+    joined.iter().for_each(|forward| topics.end_forward(forward));
+
+    assert_eq!(topics.forwarded(), 0);
+    publisher.publish(Sample(1)).unwrap();
+    assert_eq!(*lock(&node.got), [0; 0]);
 }
 
 #[blastema_macros::test(crate = "blastema_doubles")]
 async fn two_publishers_that_wait_for_the_same_nodes_in_another_order_do_not_block_each_other() {
     let topics = Topics::new(DeadLetterLog::default(), FaultReports::default());
     let (left, right) = (Arc::<Narrow>::default(), Arc::<Narrow>::default());
-    [&left, &right].into_iter().for_each(|node| joins::<Sample>(&topics, "one", node));
-    [&right, &left].into_iter().for_each(|node| joins::<Sample>(&topics, "two", node));
+    [&left, &right].into_iter().for_each(|node| drop(joins::<Sample>(&topics, "one", node)));
+    [&right, &left].into_iter().for_each(|node| drop(joins::<Sample>(&topics, "two", node)));
     let held = ToNarrow(right.clone()).take();
     let delivers = |topic, n| {
         let publisher = topics.publisher::<Sample>(topic).unwrap();
@@ -310,7 +325,7 @@ fn an_event_that_is_to_be_refused_goes_to_no_node_where_one_has_no_capacity() {
     let topics = Topics::new(letters.clone(), FaultReports::default());
     let publisher = topics.publisher::<Order>("orders").unwrap();
     let (left, right) = (Arc::<Narrow>::default(), Arc::<Narrow>::default());
-    [&left, &right].into_iter().for_each(|node| joins::<Order>(&topics, "orders", node));
+    [&left, &right].into_iter().for_each(|node| drop(joins::<Order>(&topics, "orders", node)));
     let held = ToNarrow(right.clone()).take();
 
     let refused = publisher.publish(Order(1)).unwrap_err();

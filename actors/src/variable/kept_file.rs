@@ -96,8 +96,8 @@ impl Shared {
 }
 
 impl PersistenceFile {
-    /// The lock is `None` where the file's folder cannot be written. `changed` is told when the file
-    /// cannot be written, and when it can be again.
+    /// The lock is `None` where the file's folder cannot be written, which is told already.
+    /// `changed` is told when the file cannot be written, and when it can be again.
     pub(super) fn start(
         path: PathBuf,
         lock: Option<FileLock>,
@@ -107,7 +107,7 @@ impl PersistenceFile {
             Arc::new(Shared { order: Mutex::new(Order::default()), changed: Condvar::new() });
         let kept = shared.clone();
         platform::start_thread("variables", move || {
-            write_when_told(&path, &kept, changed);
+            write_when_told(&path, &kept, lock.is_none(), changed);
             drop(lock);
         })?;
         Ok(PersistenceFile(shared))
@@ -144,8 +144,12 @@ impl Drop for PersistenceFile {
     }
 }
 
-fn write_when_told(path: &Path, shared: &Shared, changed: impl Fn(Result<(), String>)) {
-    let mut failing = false;
+fn write_when_told(
+    path: &Path,
+    shared: &Shared,
+    mut failing: bool,
+    changed: impl Fn(Result<(), String>),
+) {
     loop {
         let mut order = shared.lock();
         while order.values.is_none() && !order.ended {
@@ -190,6 +194,28 @@ mod tests {
 
         assert_eq!(load(&path).unwrap(), values(9));
         assert!(!beside(&path, "new").exists());
+    }
+
+    #[test]
+    fn that_the_file_cannot_be_written_is_told_and_that_it_can_be_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, later) = (folder.path().join("later/variables"), folder.path().join("later"));
+        let shared =
+            Arc::new(Shared { order: Mutex::new(Order::default()), changed: Condvar::new() });
+        let next = shared.clone();
+        let refused: WriteDone = Box::new(move |written| {
+            assert!(written.is_err());
+            fs::create_dir(&later).unwrap();
+            next.lock().values = Some(values(2));
+        });
+        let (values, waiting) = (Some(values(1)), vec![refused]);
+        *shared.lock() = Order { values, waiting, ended: true };
+        let told = Mutex::new(Vec::new());
+
+        write_when_told(&path, &shared, false, |written| lock(&told).push(written.is_ok()));
+
+        assert_eq!(*lock(&told), [false, true]);
+        assert_eq!(load(&path).unwrap().len(), 2);
     }
 
     #[test]

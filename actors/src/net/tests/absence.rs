@@ -54,7 +54,7 @@ async fn why_a_medium_does_not_open_stays_the_cause_for_as_long_as_it_does_not()
 #[blastema_macros::test(crate = "blastema_doubles")]
 async fn another_way_is_promised_where_one_is_left_and_is_connected_no_longer_than_one_is() {
     let (robot, left, _right) = pair().await;
-    let ask = || left.net.stack().send(Reroute { location: FaultLocation::Node(right()) });
+    let ask = || left.net.reroute().send(Reroute { location: FaultLocation::Node(right()) });
     let peer = right();
     let connected = || tokio::time::timeout(MS, left.net.connected(&peer));
     robot.cut("ethernet/left");

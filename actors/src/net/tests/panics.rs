@@ -125,7 +125,7 @@ async fn a_node_leaves_in_order_although_its_stack_panics_meanwhile() {
 
         left.net.leave();
         match waits {
-            true => left.net.stack().do_send(InjectPanic),
+            true => left.net.panics().do_send(InjectPanic),
             false => left.net.panic_sessions(),
         }
         advance(1000 * MS).await;

@@ -232,10 +232,11 @@ fn make_networks(
     let directory = Some(DirectoryLine { reports: directory.reports, network });
     let net_environment = NetEnvironment { directory, ..net_environment };
     let handle = net::start(net_environment, specs);
-    chain.controller.do_send(SubscribeSafeState(handle.stack()));
+    chain.controller.do_send(SubscribeSafeState(handle.safe_states()));
     kept.extend(handle.pings().into_iter().map(|(name, pings)| (name, Some(pings))));
     // The recipient is set once, here.
-    let _ = chain.network.set(NetworkOrders { reroute: handle.stack(), isolate: handle.stack() });
+    let _ =
+        chain.network.set(NetworkOrders { reroute: handle.reroute(), isolate: handle.isolation() });
     for neighbour in neighbours {
         let recover = handle.recoverer_of(&neighbour);
         let port = RecovererPort::Remote(neighbour);

@@ -146,7 +146,7 @@ impl Node {
     /// Makes this node's router panic, for demonstrations and tests; nothing without a network.
     pub fn panic_router(&self) {
         if let Some(networks) = &self.0.networks {
-            networks.handle.stack().do_send(InjectPanic);
+            networks.handle.panics().do_send(InjectPanic);
         }
     }
 
