@@ -70,7 +70,9 @@ impl<K: Ord + Copy, M: Machine> MachineSet<K, M> {
             None => self.due_of.remove(&key),
         };
         if before != due {
-            before.map(|before| self.due.remove(&(before, key)));
+            if let Some(before) = before {
+                self.due.remove(&(before, key));
+            }
             self.due.extend(due.map(|due| (due, key)));
         }
     }

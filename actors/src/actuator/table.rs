@@ -467,12 +467,12 @@ impl ActuatorTable {
 
     /// Lets all leases act on the time, and says when they want to be looked at again.
     fn advance(&self, now: Instant) -> Option<Instant> {
-        let advance = |actuator: &Arc<Actuator>| {
+        let actuators = self.all();
+        for actuator in &actuators {
             lock(&actuator.lease).handle_timeout(now);
             self.carry_out(actuator);
-            lock(&actuator.lease).poll_timeout()
-        };
-        self.all().iter().filter_map(advance).min()
+        }
+        actuators.iter().filter_map(|actuator| lock(&actuator.lease).poll_timeout()).min()
     }
 
     fn carry_out(&self, actuator: &Arc<Actuator>) {

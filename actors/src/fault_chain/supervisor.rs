@@ -94,15 +94,15 @@ impl SupervisorActor {
     fn new(setup: SupervisorSetup, watched: Deaths) -> Self {
         let SupervisorSetup { name, rules, children: given, neighbours, reserved } = setup;
         let mut machine = Supervisor::new(rules);
-        let is_taken_in = |(child, rules): &(Box<dyn Child>, ChildRules)| {
-            let taken = machine.add_child(child.name().clone(), *rules, platform::now());
-            if let Err(why) = &taken {
-                error!(supervisor = %name, child = %child.name(), %why, "a child was refused");
+        let mut children = SortedMap::new();
+        for (child, rules) in given {
+            match machine.add_child(child.name().clone(), rules, platform::now()) {
+                Ok(_) => drop(children.insert(child.name().clone(), child)),
+                Err(why) => {
+                    error!(supervisor = %name, child = %child.name(), %why, "a child was refused");
+                }
             }
-            taken.is_ok()
-        };
-        let children = given.into_iter().filter(is_taken_in);
-        let children = children.map(|(child, _)| (child.name().clone(), child)).collect();
+        }
         SupervisorActor {
             name,
             machine,

@@ -230,7 +230,8 @@ pub(crate) fn start(environment: NetEnvironment, networks: Vec<NetworkSpec>) -> 
         });
         operator::serve(&environment.registry, keys, networks.collect());
     }
-    let networks = networks.into_iter().zip(numbers).map(|(spec, numbers)| {
+    let mut started: Vec<(_, Addr<links::LinksActor>)> = Vec::new();
+    for (spec, numbers) in networks.into_iter().zip(numbers) {
         let name = named(&format!("links/{}", spec.name));
         let links = spec.links.into_iter().zip(&numbers.described).map(|(link, n)| (*n, link));
         let links = links.collect();
@@ -262,11 +263,10 @@ pub(crate) fn start(environment: NetEnvironment, networks: Vec<NetworkSpec>) -> 
         let LinkNumbers { described, learned, dial_in } = numbers;
         let links = described.into_iter().chain(learned).chain(dial_in).collect();
         stack.do_send(AddLinks { links, carry: address.clone().recipient() });
-        (name, address)
-    });
-    let networks: Vec<(_, Addr<links::LinksActor>)> = networks.collect();
+        started.push((name, address));
+    }
     let roster_watch = keys.map(|keys| {
-        let links = networks.iter().map(|(_, links)| links.clone().recipient());
+        let links = started.iter().map(|(_, links)| links.clone().recipient());
         // Who is not missed any more is known before the links go down.
         let told = [stack.clone().recipient()].into_iter().chain(links).collect();
         let faults = environment.own_faults("roster");
@@ -278,7 +278,7 @@ pub(crate) fn start(environment: NetEnvironment, networks: Vec<NetworkSpec>) -> 
     let carrier = Arc::new(carrier::CarrierMonitor::start(watched));
     NetHandle {
         stack,
-        networks,
+        networks: started,
         media,
         guardian,
         arbiter,

@@ -197,7 +197,11 @@ impl Detector {
         let is_behind = matches!(cause, Cause::Behind(_));
         let known = self.fault_log.open_fault(&scene.location, &kind);
         let known = known.and_then(|id| Some((id, self.fault_log.entry(id)?.fault.incarnation)));
-        let known = known.filter(|&(id, _)| self.repeat(id, scene, &detail));
+        let is_counted = match known {
+            Some((id, _)) => self.repeat(id, scene, &detail),
+            None => false,
+        };
+        let known = known.filter(|_| is_counted);
         let id = match known.and_then(|(id, then)| Some((self.fault_log.entry(id)?, then))) {
             Some((entry, then)) => {
                 let id = entry.fault.id;
@@ -265,9 +269,12 @@ impl Detector {
         detail: String,
         cause: Cause,
     ) -> FaultId {
-        let known = self.fault_log.open_fault(&scene.location, &kind);
-        let known = known.filter(|&id| self.repeat(id, scene, &detail));
-        known.unwrap_or_else(|| self.record(scene, kind, detail, cause))
+        if let Some(id) = self.fault_log.open_fault(&scene.location, &kind)
+            && self.repeat(id, scene, &detail)
+        {
+            return id;
+        }
+        self.record(scene, kind, detail, cause)
     }
 
     /// Puts a fault into the record and reports it.

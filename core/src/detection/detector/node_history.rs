@@ -110,8 +110,9 @@ impl NodeHistories {
             (history.in_loop > 0, history.restarts.last().max(history.offences.last()))
         };
         if self.nodes.len() == NODES_MAX && !self.nodes.contains_key(node) {
-            let oldest = self.nodes.iter().min_by_key(age).map(|(node, _)| node.clone());
-            oldest.map(|oldest| self.nodes.remove(&oldest));
+            if let Some(oldest) = self.nodes.iter().min_by_key(age).map(|(node, _)| node.clone()) {
+                self.nodes.remove(&oldest);
+            }
         }
         self.nodes.entry(node.clone()).or_insert_with(|| NodeHistory {
             offences: SlidingWindow::new(OFFENCES, PERIOD),
