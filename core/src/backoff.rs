@@ -52,11 +52,8 @@ impl Backoff {
     /// gives the same jitter.
     pub fn delay(&self, attempt: u32, seed: u64) -> Duration {
         let Some(doublings) = attempt.checked_sub(2) else { return Duration::ZERO };
-        let base = self
-            .factor
-            .checked_pow(doublings)
-            .and_then(|times| self.first.checked_mul(times))
-            .map_or(self.limit, |wait| wait.min(self.limit));
+        let times = self.factor.saturating_pow(doublings);
+        let base = self.first.saturating_mul(times).min(self.limit);
         let nanos = u64::try_from(base.as_nanos()).unwrap_or(u64::MAX / 4).min(u64::MAX / 4);
         let span = nanos / 100 * u64::from(self.jitter_percent.min(100));
         let shift = if span == 0 { 0 } else { Random::new(seed).nth(attempt) % (2 * span + 1) };

@@ -78,6 +78,15 @@ pub enum FaultKind {
     Custom(Arc<str>),
 }
 
+/// The most bytes of a fault's detail, and of what is kept beside it.
+const DETAIL_MAX: usize = 2_048;
+
+/// The beginning of a text about a fault. The rest of a longer one is not kept.
+pub fn shortened(text: &str) -> &str {
+    let end = (0..=DETAIL_MAX.min(text.len())).rev().find(|&at| text.is_char_boundary(at));
+    &text[..end.unwrap_or_default()]
+}
+
 /// How bad a fault is for the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]

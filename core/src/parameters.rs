@@ -336,7 +336,9 @@ impl ParameterType for f64 {
         match value {
             ParameterValue::Float(value) => Some(*value),
             ParameterValue::Integer(value) => Some(*value as f64),
-            ParameterValue::Written(text) => text.parse().ok(),
+            ParameterValue::Written(text) => {
+                text.parse().ok().filter(|value: &f64| value.is_finite())
+            }
             _ => None,
         }
     }
@@ -350,7 +352,9 @@ impl ParameterType for f32 {
     single!("a number");
 
     fn of(value: &ParameterValue) -> Option<Self> {
-        f64::of(value).map(|value| value as f32)
+        let wide = f64::of(value)?;
+        let value = wide as f32;
+        (value.is_finite() || !wide.is_finite()).then_some(value)
     }
 
     fn value(&self) -> ParameterValue {
@@ -444,4 +448,22 @@ pub fn check_range<T: ParameterType<Element: PartialOrd> + fmt::Debug>(
         range: field.range.unwrap_or_default(),
         unit: field.unit,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_number_that_its_type_cannot_hold_is_refused() {
+        let written = |text: &str| ParameterValue::Written(text.to_owned());
+        assert_eq!(f32::of(&written("0.5")), Some(0.5));
+        for text in ["1e60", "-1e39", "inf", "nan"] {
+            assert_eq!(f32::of(&written(text)), None, "{text}");
+        }
+        assert_eq!(f64::of(&written("1e60")), Some(1e60));
+        assert_eq!((f64::of(&written("inf")), f64::of(&written("nan"))), (None, None));
+        // A program may say that there is no limit.
+        assert_eq!(f32::of(&ParameterValue::Float(f64::INFINITY)), Some(f32::INFINITY));
+    }
 }

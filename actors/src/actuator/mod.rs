@@ -12,6 +12,7 @@ mod settings;
 pub(crate) mod table;
 
 pub use settings::ActuatorSettings;
+pub(crate) use settings::message_of;
 pub use table::ActuatorRow;
 pub(crate) use table::{ActuatorKey, ActuatorTable, DeclaredActuator};
 

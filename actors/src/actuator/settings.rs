@@ -65,7 +65,7 @@ pub(super) fn with_fields<M: Contract>(
     if !refused.is_empty() {
         return Err(refused);
     }
-    let command: M = serde_json::from_value(command).map_err(|error| unreadable(&error))?;
+    let command: M = message_of(&command).map_err(|error| unreadable(&error))?;
     Ok(encoded(&command).map_err(|error| unreadable(&error))?.into())
 }
 
@@ -90,12 +90,50 @@ fn set_field<M: Contract>(command: &mut Value, name: &str, text: &str) -> Result
         })?,
         None => text,
     };
-    let value = serde_json::from_str(number).unwrap_or_else(|_| Value::String(number.to_owned()));
+    let as_text = Value::String(number.to_owned());
     let mut with = command.clone();
-    with[name] = value;
+    with[name] = serde_json::from_str(number).unwrap_or_else(|_| as_text.clone());
     // A value of another type is found where it stands.
-    serde_json::from_value::<M>(with.clone())
-        .map_err(|error| format!("`{name}` cannot be `{text}`: {error}"))?;
+    if let Err(error) = message_of::<M>(&with) {
+        with[name] = as_text;
+        message_of::<M>(&with).map_err(|_| format!("`{name}` cannot be `{text}`: {error}"))?;
+    }
     *command = with;
     Ok(())
+}
+
+/// The message that has these fields. They are read from text, which refuses a number that is too
+/// large for an `f32` where it stands.
+pub(crate) fn message_of<M: Contract>(fields: &Value) -> serde_json::Result<M> {
+    serde_json::from_str(&fields.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use blastema_core::contract::codec;
+
+    #[derive(Clone, Debug, PartialEq, crate::Request)]
+    #[contract(reply = ())]
+    struct Drive {
+        speed: f32,
+        mode: String,
+    }
+
+    #[test]
+    fn a_number_that_is_too_large_is_refused_and_a_text_may_look_like_one() {
+        let safe = Drive { speed: 0.0, mode: String::new() };
+        let safe: Bytes = encoded(&safe).unwrap().into();
+        let with = |name: &str, text: &str| {
+            let command = with_fields::<Drive>(&safe, &[(name.to_owned(), text.to_owned())])
+                .map_err(|refused| refused[0].why.clone())?;
+            Ok::<Drive, String>(codec::decode(&command).unwrap())
+        };
+        for text in ["1e60", "-1e39", "inf", "fast"] {
+            assert!(with("speed", text).is_err_and(|why| why.contains(text)), "{text}");
+        }
+        assert_eq!(with("speed", "0.5").unwrap().speed, 0.5);
+        assert_eq!(with("mode", "12").unwrap().mode, "12");
+        assert_eq!(with("mode", "\"12\"").unwrap().mode, "12");
+    }
 }

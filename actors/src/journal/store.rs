@@ -2,6 +2,7 @@
 
 use super::WallTime;
 use crate::platform;
+use blastema_core::fault::shortened;
 use blastema_core::{Fault, Incarnation, Instant, NodeName};
 use rusqlite::{Connection, ErrorCode, OpenFlags, Statement, Transaction, params};
 use std::fs::File;
@@ -12,8 +13,6 @@ use std::time::Duration;
 
 /// So many faults are kept in a journal: those of months, in about five megabytes.
 pub const FAULTS_MAX: u32 = 10_000;
-/// Longer particulars are cut, in bytes: a panic's text may hold a whole message.
-const DETAIL_MAX: usize = 2048;
 /// The file never takes more, whatever happens: twice what `FAULTS_MAX` of the longest particulars
 /// take.
 const PAGES_MAX: u32 = 16_384;
@@ -346,9 +345,4 @@ fn trim(transaction: &Transaction<'_>, run: i64, limit: u32) -> rusqlite::Result
 /// SQLite's integers are signed.
 fn number(value: u64) -> i64 {
     i64::try_from(value).unwrap_or(i64::MAX)
-}
-
-fn shortened(text: &str) -> &str {
-    let end = (0..=DETAIL_MAX.min(text.len())).rev().find(|&at| text.is_char_boundary(at));
-    &text[..end.unwrap_or_default()]
 }

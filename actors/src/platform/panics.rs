@@ -4,6 +4,7 @@
 //! half a second. Where a guard is going to catch the panic, our hook notes the place instead;
 //! every other panic goes to the hook that was there before.
 
+use blastema_core::fault::shortened;
 use std::any::Any;
 use std::cell::Cell;
 use std::panic;
@@ -108,7 +109,7 @@ pub(crate) fn read(payload: Box<dyn Any + Send>) -> PanicRecord {
 fn text_in(payload: &(dyn Any + Send)) -> &str {
     let text = payload.downcast_ref::<String>().map(String::as_str);
     let text = text.or_else(|| payload.downcast_ref::<&str>().copied());
-    text.unwrap_or("a panic whose payload is no text")
+    shortened(text.unwrap_or("a panic whose payload is no text"))
 }
 
 #[cfg(test)]

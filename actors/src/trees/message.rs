@@ -5,6 +5,7 @@
 //! fields is one port, `message` or `reply`.
 
 use super::task::LeafTask;
+use crate::actuator::message_of;
 use blastema_core::contract::layout::{Field, Fields, Layout, LayoutOf, Primitive, Shape};
 use blastema_core::{Contract, Described};
 use blastema_trees::{LeafError, Port, PortError, PortValue, Value};
@@ -98,7 +99,7 @@ impl LeafTask {
                 Json::Object(object)
             }
         };
-        serde_json::from_value(json).map_err(|error| format!("{}: {error}", M::NAME).into())
+        message_of(&json).map_err(|error| format!("{}: {error}", M::NAME).into())
     }
 
     fn json(&self, port: &str, of: &Shape<LayoutOf>) -> Result<Option<Json>, PortError> {

@@ -4,6 +4,7 @@ use super::correlation::DependencyIndex;
 use super::{
     FaultEntry, FaultLog, FaultNotice, FaultRecord, FaultTransition, Observation, RecoveryOutcome,
 };
+use crate::fault::shortened;
 use crate::sorted::SortedMap;
 use crate::{
     Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant, Lifecycle, Machine, NodeName,
@@ -194,6 +195,7 @@ impl Detector {
 
     /// A fault was seen: it is counted if it stands already, else recorded and handed over.
     fn find(&mut self, scene: &Scene, kind: FaultKind, detail: String, cause: Cause) -> FaultId {
+        let detail = shortened(&detail).to_owned();
         let is_behind = matches!(cause, Cause::Behind(_));
         let known = self.fault_log.open_fault(&scene.location, &kind);
         let known = known.and_then(|id| Some((id, self.fault_log.entry(id)?.fault.incarnation)));
@@ -269,6 +271,7 @@ impl Detector {
         detail: String,
         cause: Cause,
     ) -> FaultId {
+        let detail = shortened(&detail).to_owned();
         if let Some(id) = self.fault_log.open_fault(&scene.location, &kind)
             && self.repeat(id, scene, &detail)
         {

@@ -6,6 +6,7 @@ use super::{
     ExitReason, Finding, LinkCondition, MonitorRow, NodeCondition, ObjectKind, Observation,
     Registration, RegistrationError, WorkProgress,
 };
+use crate::fault::shortened;
 use crate::sorted::SortedMap;
 use crate::{
     FaultKind, FaultLocation, Incarnation, Instant, Lifecycle, Machine, NodeName, ObjectAddress,
@@ -184,6 +185,7 @@ impl Monitor {
             return;
         }
         let Some(entry) = self.admit(object, incarnation) else { return };
+        let reason = reason.as_deref().map(|reason| shortened(reason).to_owned());
         entry.guarded = true;
         entry.state = Some(state);
         entry.signs.last = Some(now);

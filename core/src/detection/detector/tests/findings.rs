@@ -3,6 +3,14 @@
 use super::*;
 
 #[test]
+fn of_a_long_detail_the_beginning_is_kept() {
+    let mut bench = Bench::new();
+    let detail = "ä".repeat(10_000);
+    bench.see("arm", ONE, Finding::Declared { kind: FaultKind::CheckFailed, detail });
+    assert_eq!(bench.fault(1).detail, "ä".repeat(1_024));
+}
+
+#[test]
 fn everything_on_the_list_is_found_under_its_kind() {
     let age = Duration::from_millis(500);
     let reason = || "why".to_string();
