@@ -1,9 +1,9 @@
 //! Robots from files, as processes: `run` keeps all nodes, stops them in order, and gives up; keys
 //! seal them; `check` and `describe` need no robot.
 
-use blastema_tests::{RobotKeys, free_addresses};
+use blastema_tests::{RobotKeys, free_addresses, until};
 use std::fs::{self, Permissions};
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Output, Stdio};
@@ -168,6 +168,29 @@ fn all_nodes_run_until_an_interrupt_and_stop_in_reverse_order() {
 
     assert_eq!(robot.status(), 0, "{:#?}", robot.seen);
     assert_eq!(robot.lines_with(" ends"), ["[right] display ends", "[left] counter ends"]);
+}
+
+#[test]
+fn a_robot_whose_output_is_not_read_stops_at_an_interrupt() {
+    let _turn = blastema_doubles::turn();
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = two_nodes(folder.path(), "", ["", ""], "0");
+    let ends = unix_ends(folder.path());
+    with_endpoints(&file, ends.clone());
+    let (_reader, mut writer) = std::io::pipe().expect("a pipe");
+    writer.write_all(&[b'\n'; 65_536]).expect("so much fits into a pipe");
+    let mut command = Command::new(program());
+    command.arg("run").arg(&file).stdin(Stdio::piped()).stdout(writer);
+    let mut process = command.spawn().expect("it starts");
+
+    let sockets = ends.map(|end| PathBuf::from(end.trim_start_matches("unix://")));
+    blastema::run(async {
+        until(async || sockets.iter().all(|socket| socket.exists()), "both nodes are up").await;
+        let id = process.id().to_string();
+        let status = Command::new("kill").args(["-INT", &id]).status();
+        assert!(status.expect("there is kill").success());
+        until(async || process.try_wait().is_ok_and(|end| end.is_some()), "it ends").await;
+    });
 }
 
 #[test]
