@@ -3,14 +3,12 @@
 use blastema::core::detection::Opinion;
 use blastema::prelude::*;
 use blastema::{Down, DownReason, FaultLocation, Link, Network, NodeBuilder};
-use blastema_tests::{MS, Notes, Process, addresses, free_addresses, role, until};
+use blastema_tests::{MS, Notes, PATIENCE, Process, addresses, free_addresses, role, until};
 use std::net::SocketAddr;
 use std::sync::OnceLock;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::SeqCst;
 use std::time::Duration;
-
-const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Replies with the present incarnation.
 #[derive(Clone, Debug, Request)]
