@@ -5,7 +5,7 @@ use blastema::prelude::*;
 use blastema::{
     ActuatorSpec, CommandTimeout, FaultTransition, NodeBuilder, RecoveryStrategy, StrategyContext,
 };
-use blastema_tests::{found, until};
+use blastema_tests::{MS, PATIENCE, found, until};
 use std::path::Path;
 use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering::SeqCst;
@@ -13,9 +13,6 @@ use std::sync::mpsc::{Receiver, Sender as Hold, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-const MS: Duration = Duration::from_millis(1);
-/// For everything that takes time on a busy computer.
-const PATIENCE: Duration = Duration::from_secs(60);
 /// For calls that block.
 const LIMIT: Duration = Duration::from_millis(200);
 

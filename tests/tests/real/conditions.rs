@@ -4,12 +4,10 @@ use blastema::prelude::*;
 use blastema::{
     ActuatorSpec, ConditionState, Connected, Hold, Link, LostCommunicationPolicy, Network, Rung,
 };
-use blastema_tests::{Notes, Process, addresses, free_addresses, moves, role, until};
+use blastema_tests::{Notes, PATIENCE, Process, addresses, free_addresses, moves, role, until};
 use std::net::SocketAddr;
 use std::time::Duration;
 
-/// For everything that takes time on a busy computer.
-const PATIENCE: Duration = Duration::from_secs(60);
 const NODES: [&str; 2] = ["rover", "operator"];
 
 #[derive(Clone, Debug, PartialEq, Request)]

@@ -8,7 +8,6 @@ mod busy;
 mod busy_computer;
 mod chain_outside;
 mod conditions;
-mod credit;
 mod devices;
 mod discovery;
 mod dropped_nodes;

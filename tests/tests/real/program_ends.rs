@@ -4,6 +4,7 @@
 
 use blastema::prelude::*;
 use blastema::{ActuatorSpec, Hold, Network, NodeBuilder};
+use blastema_tests::MS;
 use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader, Read};
 use std::os::unix::net::UnixDatagram;
@@ -12,7 +13,6 @@ use std::sync::atomic::Ordering::SeqCst;
 use std::sync::atomic::{AtomicBool, AtomicUsize};
 use std::time::Duration;
 
-const MS: Duration = Duration::from_millis(1);
 /// For everything that takes time on a busy computer.
 const PATIENCE: Duration = Duration::from_secs(60);
 

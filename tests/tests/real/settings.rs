@@ -8,11 +8,10 @@ use blastema::{
     ActuatorSpec, ClaimPolicy, Hold, IsolateError, Link, MemoryMedium, Network, NodeBuilder,
     RecoveryStrategy, SpecError, StartError, StrategyContext,
 };
+use blastema_tests::MS;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
-
-const MS: Duration = Duration::from_millis(1);
 
 struct Lamp;
 impl Component for Lamp {}

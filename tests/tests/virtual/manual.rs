@@ -94,6 +94,17 @@ fn the_limits_are_those_of_the_code() {
     );
 }
 
+#[test]
+fn each_reason_for_which_a_message_fails_has_its_row() {
+    let (page, code) = (page("sending.md"), include_str!("../../../core/src/delivery/mod.rs"));
+    let lines = code.lines().skip_while(|line| *line != "pub enum DeliveryError {").skip(1);
+    for line in lines.take_while(|line| *line != "}").map(str::trim_start) {
+        let name = format!("`{}`", line.trim_end_matches([',', ' ', '{']));
+        let is_row = |row: &str| row.split('|').nth(1).is_some_and(|cell| cell.contains(&name));
+        assert!(!line.starts_with(char::is_uppercase) || page.lines().any(is_row), "{name}");
+    }
+}
+
 /// Has the receiver end itself.
 #[derive(Debug, Request)]
 #[contract(reply = ())]

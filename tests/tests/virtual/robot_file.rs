@@ -5,11 +5,11 @@ use blastema::trees::{BehaviorTree, Status, TreeLeaves};
 use blastema::{ActuatorSpec, Connected, Hold, LostCommunicationPolicy, NodeBuilder, Rung};
 use blastema_robot::Types;
 use blastema_testkit::{TestNode, now};
+use blastema_tests::MS;
 use std::fs;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-const MS: Duration = Duration::from_millis(1);
 const SECOND: Duration = Duration::from_secs(1);
 
 const ROBOT: &str = r#"<robot schema="1" name="rover"><node name="rover">

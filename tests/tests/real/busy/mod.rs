@@ -1,7 +1,5 @@
 //! Nodes on real threads whose handlers burn time, judged by counts and order, never by speed.
 
-mod declared;
-mod fairness;
 mod groups;
 mod hangs;
 mod shutdown;

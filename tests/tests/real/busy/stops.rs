@@ -2,7 +2,7 @@
 
 use super::{BusyThreads, LONG};
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, Commander, Hold, LeaseStatus, Lifecycle};
+use blastema::{ActuatorSpec, Hold, Lifecycle};
 use blastema_tests::{accepts, burn, moves, until};
 use std::sync::mpsc;
 use std::sync::{Arc, Mutex};
@@ -89,92 +89,6 @@ fn wheels_are_stopped_before_each_deactivation_however_busy_the_computer_is() {
     let mut wanted: Vec<_> = turns.iter().cycle().take(3 * TIMES).copied().collect();
     wanted.push("deactivated"); // By the shutdown: nothing moved any more.
     assert_eq!(*log.lock().unwrap(), wanted);
-}
-
-/// How far to turn, by a component that may be far away.
-#[derive(Clone, Debug, Event)]
-#[contract(name = "stops/goal")]
-struct Goal(u32);
-
-/// Wheels on which a command counts for a second.
-struct Base(Log);
-
-impl Component for Base {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.accept::<Load>();
-        ports.actuator(ActuatorSpec::new(Turn(0), Duration::from_secs(1)).lease(LONG));
-    }
-}
-
-impl Handle<Turn> for Base {
-    async fn handle(&mut self, turn: Turn, _: &mut Context<Self>) {
-        burn(Duration::from_millis(2));
-        self.0.lock().unwrap().push(format!("turn {}", turn.0));
-    }
-}
-
-impl Handle<Load> for Base {
-    async fn handle(&mut self, _: Load, _: &mut Context<Self>) {
-        burn(Duration::from_millis(5));
-    }
-}
-
-/// Turns goals into commands.
-struct Forwarder(Option<Commander<Turn>>);
-
-impl Component for Forwarder {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.listen::<Goal>();
-    }
-
-    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        let base = cx.commander::<Turn>("base")?;
-        base.claim_within(LONG).await?;
-        self.0 = Some(base);
-        Ok(())
-    }
-}
-
-impl Handle<Goal> for Forwarder {
-    async fn handle(&mut self, goal: Goal, cx: &mut Context<Self>) {
-        if let Some(base) = &self.0 {
-            // The command before it may still be in service.
-            while base.command_from(cx.captured_at(), Turn(goal.0)).await.is_err() {
-                blastema::sleep(Duration::from_millis(1)).await;
-            }
-        }
-    }
-}
-
-#[test]
-fn a_base_stops_once_when_its_goals_cease_though_their_forwarder_lives() {
-    let _turn = blastema_doubles::turn();
-    let _busy = BusyThreads::start();
-    let log = Log::default();
-    let kept = log.clone();
-    blastema::run(async {
-        let base = ChildSpec::new("base", move || Base(kept.clone())).max_wait(LONG);
-        let forwarder = ChildSpec::new("forwarder", || Forwarder(None)).max_wait(LONG);
-        let builder = Node::builder("module1").child(base.queue(4, WhenFull::DropOldest));
-        let node = builder.child(forwarder.ready_within(LONG)).start().await.unwrap();
-        let goals = node.publisher::<Goal>("stops/goal").unwrap();
-        let load = node.sender::<Load>("base").unwrap();
-        let turns = |last: &str| log.lock().unwrap().last().is_some_and(|turn| turn == last);
-
-        for goal in 1..=3 {
-            goals.publish(Goal(goal)).unwrap();
-            (0..4).for_each(|_| load.tell(Load).unwrap());
-            let is_followed = async || log.lock().unwrap().contains(&format!("turn {goal}"));
-            until(is_followed, "the goal is followed").await;
-            until(async || turns("turn 0"), "the base stops").await;
-            blastema::sleep(Duration::from_millis(1200)).await;
-            let stops = log.lock().unwrap().iter().filter(|turn| *turn == "turn 0").count();
-            assert_eq!(stops, usize::try_from(goal).unwrap(), "once: {:?}", log.lock().unwrap());
-            let status = node.actuators().remove(0).status;
-            assert!(matches!(status, LeaseStatus::Held { .. }), "{status:?}");
-        }
-        node.shutdown().await;
-    });
 }
 
 /// Keeps the thread of its receiver until the test goes on.

@@ -285,30 +285,3 @@ fn beside_four_times_as_many_busy_threads_as_processors_keys_are_agreed_on_and_k
         pair.left.shutdown().await;
     });
 }
-
-/// A roster is changed as a file: by another program, while the nodes run.
-#[test]
-fn a_revoked_node_loses_its_link_while_all_run_and_a_listed_one_gets_one() {
-    let Some(_turn) = blastema_doubles::turn_if_long() else { return };
-    blastema::run(async {
-        let pair = Pair::start("udp").await;
-        let folder = Path::new(&pair.at[2]);
-        assert_eq!(ask(&pair.left, "right").await, 1);
-        let replace = |nodes: &[&str], serial| {
-            let text = RobotKeys::roster(nodes, 1, serial);
-            std::fs::write(folder.join("new"), text).expect("a folder");
-            std::fs::rename(folder.join("new"), folder.join("ranger.roster")).expect("a folder");
-        };
-
-        replace(&["left"], 2);
-        until(async || !pair.is_up().await, "the link is down").await;
-        let gone = async || pair.left.links().await[0].seal.is_none();
-        until(gone, "its keys are gone").await;
-
-        replace(&NODES, 3);
-        until(async || pair.is_up().await, "the link is back").await;
-        assert!(pair.left.connected("right", PATIENCE).await);
-        assert_eq!(pair.first_answer().await, 2);
-        pair.left.shutdown().await;
-    });
-}

@@ -1,40 +1,25 @@
 //! Rules about which folder imports from which, within a package.
 
-use crate::architecture::tree::{Breach, PRODUCT, Source, Token, Tree};
-use std::collections::BTreeMap;
+use crate::architecture::tree::{Breaches, PRODUCT, Token, Tree};
+use std::collections::{BTreeMap, BTreeSet};
 use std::iter::Peekable;
 
-/// The layers of `actors`, bottom up, and what each may import.
+/// The layers of `actors`, bottom up. Each imports only from lines before its own.
 const LAYERS: &str = "
-    platform -
-    arbiter platform
-    messaging platform arbiter
-    runtime platform arbiter messaging
-    liveness platform arbiter messaging
-    registry platform arbiter messaging
-    journal platform runtime
-    plain arbiter messaging
-    fault_chain platform runtime arbiter messaging registry
-    component platform runtime arbiter messaging liveness registry
-    host platform runtime arbiter messaging liveness registry component
-    topic platform runtime arbiter messaging liveness registry component host
-    net platform runtime arbiter messaging registry topic
-    variable platform runtime arbiter messaging liveness registry component host topic net
-    actuator platform runtime arbiter messaging liveness registry component host topic net
-    port messaging registry component topic actuator
-    directory platform runtime arbiter messaging liveness registry component host topic net
-    condition platform runtime arbiter messaging registry component topic net actuator directory
-    trees platform registry component host topic variable actuator condition
-    service platform runtime arbiter messaging liveness registry component host topic net directory
-    bridge platform runtime arbiter messaging liveness registry component host topic net
-    device platform messaging component host topic variable actuator
-    process platform runtime arbiter messaging liveness registry component host
-    parameters arbiter component variable
-    features platform component topic variable actuator condition service port";
-/// The top layer imports all others.
-const TOP: &str = "node";
+    platform
+    arbiter
+    messaging
+    runtime liveness registry plain
+    journal fault_chain component
+    host
+    topic process
+    net
+    variable actuator directory bridge
+    condition service port device parameters
+    trees features
+    node";
 /// What every layer may name: the atomics, the table of settings, and the pages of the manual.
-const EVERYWHERE: &[&str] = &["sync", "settings", "manual"];
+const EVERYWHERE: &str = "sync settings manual";
 
 /// The folders whose files may import each other in a circle.
 const CIRCLES: [&str; 3] = [
@@ -52,7 +37,7 @@ type Path = Vec<String>;
 pub(crate) struct Import {
     pub(crate) path: Path,
     pub(crate) name: String,
-    pub(crate) line: usize,
+    line: usize,
     /// Whether a `pub` stands before its `use`.
     exported: bool,
 }
@@ -64,17 +49,13 @@ pub(crate) fn imports_of(code: &[Token]) -> Vec<Import> {
     while let Some(token) = tokens.peek() {
         let exported = matches!(before, "pub" | ")");
         before = &token.text;
-        match before {
-            "use" => drop(tokens.next()),
-            "crate" | "super" => {}
-            _ => {
-                tokens.next();
-                continue;
-            }
+        let begins = matches!(before, "crate" | "super");
+        if !begins {
+            tokens.next();
         }
-        let found = imports.len();
-        read_path(&mut tokens, Vec::new(), &mut imports);
-        imports[found..].iter_mut().for_each(|import| import.exported = exported);
+        if begins || before == "use" {
+            read_path(&mut tokens, Vec::new(), exported, &mut imports);
+        }
     }
     imports
 }
@@ -83,14 +64,17 @@ pub(crate) fn imports_of(code: &[Token]) -> Vec<Import> {
 fn read_path<'a>(
     tokens: &mut Peekable<impl Iterator<Item = &'a Token>>,
     mut path: Path,
+    exported: bool,
     imports: &mut Vec<Import>,
 ) {
+    let is_name =
+        |text: &str| text == "*" || text.starts_with(|c: char| c.is_alphabetic() || c == '_');
     let mut line = 0;
     while let Some(token) = tokens.next_if(|token| is_name(&token.text) || token.text == "{") {
         line = token.line;
         if token.text == "{" {
             while tokens.next_if(|token| token.text == "}").is_none() {
-                read_path(tokens, path.clone(), imports);
+                read_path(tokens, path.clone(), exported, imports);
                 tokens.next_if(|token| token.text == ",");
             }
             return;
@@ -102,20 +86,15 @@ fn read_path<'a>(
             break;
         }
     }
-    let mut name = path.last().cloned().unwrap_or_default();
-    if tokens.next_if(|token| token.text == "as").is_some() {
-        name = tokens.next().map(|token| token.text.clone()).unwrap_or_default();
-    }
-    imports.push(Import { path, name, line, exported: false });
-}
-
-fn is_name(text: &str) -> bool {
-    text == "*" || text.starts_with(|c: char| c.is_alphabetic() || c == '_')
+    let renamed = tokens.next_if(|token| token.text == "as").and_then(|_| tokens.next());
+    let name = renamed.map(|token| &token.text).or(path.last()).cloned().unwrap_or_default();
+    imports.push(Import { path, name, line, exported });
 }
 
 /// The modules of one package, and what each of them imports from it.
 struct Modules<'a> {
-    sources: BTreeMap<Path, &'a Source>,
+    /// The file of each module: `a/b.rs` and `a/b/mod.rs` are `a::b`, the root file is empty.
+    files: BTreeMap<Path, &'a str>,
     /// The names that a module gives to items of others.
     exports: BTreeMap<Path, Path>,
     imports: Vec<(Path, Path, usize)>,
@@ -123,18 +102,19 @@ struct Modules<'a> {
 
 impl<'a> Modules<'a> {
     fn below(tree: &'a Tree, root: &str) -> Self {
-        let below = |source: &'a Source| {
-            let file = source.path.strip_prefix(root)?.strip_prefix('/')?;
-            (!source.code.is_empty()).then(|| (module_of(file), source))
+        let module_of = |path: &'a str| {
+            let file = path.strip_prefix(root)?.strip_prefix('/')?.trim_end_matches(".rs");
+            let mut module: Path = file.split('/').map(str::to_owned).collect();
+            module.pop_if(|last| matches!(last.as_str(), "mod" | "lib" | "main"));
+            Some((module, path))
         };
-        let sources: BTreeMap<Path, &Source> = tree.sources.iter().filter_map(below).collect();
-        let mut modules = Modules { sources, exports: BTreeMap::new(), imports: Vec::new() };
-        for (module, source) in modules.sources.clone() {
-            for Import { path, name, line, exported } in imports_of(&source.code) {
+        let files = tree.code.keys().filter_map(|path| module_of(path)).collect();
+        let mut modules = Modules { files, exports: BTreeMap::new(), imports: Vec::new() };
+        for (module, file) in modules.files.clone() {
+            for Import { path, name, line, exported } in imports_of(&tree.code[file]) {
                 let Some(path) = modules.absolute(&module, &path) else { continue };
                 if exported {
-                    let name = module.iter().cloned().chain([name]).collect();
-                    modules.exports.insert(name, path.clone());
+                    modules.exports.insert([&module[..], &[name]].concat(), path.clone());
                 }
                 modules.imports.push((module.clone(), path, line));
             }
@@ -143,19 +123,15 @@ impl<'a> Modules<'a> {
     }
 
     /// The path from the root of the package, if it lies there.
-    fn absolute(&self, module: &Path, path: &[String]) -> Option<Path> {
+    fn absolute(&self, module: &[String], path: &[String]) -> Option<Path> {
         let supers = path.iter().take_while(|segment| *segment == "super").count();
-        let base = match path.first()?.as_str() {
-            "crate" => &[],
-            "self" => &module[..],
-            "super" => &module[..module.len().checked_sub(supers)?],
-            child => {
-                let child = [&module[..], &[child.to_owned()]].concat();
-                self.sources.get(&child)?;
-                return Some([&module[..], path].concat());
-            }
+        let (kept, gone) = match path.first()?.as_str() {
+            "crate" => (0, 1),
+            "self" => (module.len(), 1),
+            "super" => (module.len().checked_sub(supers)?, supers),
+            _ => self.files.get(&[module, &path[..1]].concat()).map(|_| (module.len(), 0))?,
         };
-        Some([base, &path[supers.max(1)..]].concat())
+        Some([&module[..kept], &path[gone..]].concat())
     }
 
     /// The module that defines what this path names.
@@ -163,86 +139,68 @@ impl<'a> Modules<'a> {
         let mut path = path.clone();
         // A chain of exports is short, and one in a circle does not compile.
         for _ in 0..8 {
-            let known = (0..=path.len()).rev().find(|&n| self.sources.contains_key(&path[..n]));
+            let known = (0..=path.len()).rev().find(|&n| self.files.contains_key(&path[..n]));
             let known = known.unwrap_or_default();
-            let exported = path.get(..known + 1).and_then(|name| self.exports.get(name));
-            let Some(behind) = exported else {
-                path.truncate(known);
-                return path;
-            };
-            path = behind.iter().chain(&path[known + 1..]).cloned().collect();
+            match path.get(..=known).and_then(|name| self.exports.get(name)) {
+                Some(behind) => path = [&behind[..], &path[known + 1..]].concat(),
+                None => path.truncate(known),
+            }
         }
         path
     }
 }
 
-/// `a/b.rs` and `a/b/mod.rs` are the module `a::b`; the root file is the empty path.
-fn module_of(file: &str) -> Path {
-    let file = file.trim_end_matches(".rs");
-    let mut module: Path = file.split('/').map(str::to_owned).collect();
-    if matches!(module.last().map(String::as_str), Some("mod" | "lib" | "main")) {
-        module.pop();
-    }
-    module
-}
-
 /// Each folder of `actors` imports only the layers below it.
-pub(crate) fn layers(tree: &Tree) -> Vec<Breach> {
+pub(crate) fn layers(tree: &Tree) -> Breaches {
     let modules = Modules::below(tree, "actors/src");
-    let is_open = |folder: &str| folder == TOP || EVERYWHERE.contains(&folder);
-    let mut breaches = Vec::new();
+    let has = |line: &str, folder: &str| line.split(' ').any(|name| name == folder);
+    let layer = |folder: &str| LAYERS.lines().position(|line| has(line, folder));
+    let is_allowed = |from: &str, folder: &str| {
+        from == folder
+            || has(EVERYWHERE, from)
+            || layer(from).is_some_and(|from| Some(from) < layer(folder))
+    };
+    let mut breaches = Breaches::new();
     for (module, path, line) in &modules.imports {
-        let Some(folder) = module.first().filter(|folder| !is_open(folder)) else { continue };
-        let below = LAYERS
-            .lines()
-            .find_map(|line| line.trim_start().strip_prefix(folder.as_str())?.strip_prefix(' '));
-        let what = match (below, modules.defining(path).first()) {
-            (None, _) => format!("{folder} is no layer"),
-            (Some(below), Some(from))
-                if from != folder
-                    && !below.split(' ').any(|layer| layer == from)
-                    && !EVERYWHERE.contains(&from.as_str()) =>
-            {
-                format!("{folder} imports {}", path.join("::"))
-            }
-            _ => continue,
-        };
-        breaches.push(Breach::new(&modules.sources[module].path, *line, what));
+        let defining = modules.defining(path);
+        if let (Some(folder), Some(from)) = (module.first(), defining.first())
+            && !is_allowed(from, folder)
+        {
+            let what = format!("{folder} imports {}", path.join("::"));
+            breaches.insert((modules.files[module].into(), *line, what));
+        }
     }
     breaches
 }
 
 /// The files of one folder do not import each other in a circle. `x.rs` and `x/` count as one.
-pub(crate) fn circles(tree: &Tree) -> Vec<Breach> {
-    let mut breaches = Vec::new();
-    for root in PRODUCT {
+pub(crate) fn circles(tree: &Tree) -> Breaches {
+    let mut breaches = Breaches::new();
+    for root in PRODUCT.split(' ') {
         let modules = Modules::below(tree, root);
-        let mut folders: BTreeMap<&[String], Vec<(&str, String, Breach)>> = BTreeMap::new();
+        let mut edges = Vec::new();
         for (module, path, line) in &modules.imports {
             let defining = modules.defining(path);
             let shared = module.iter().zip(&defining).take_while(|(a, b)| a == b).count();
-            if let (Some(from), Some(to)) = (module.get(shared), defining.get(shared)) {
-                let what = format!("{root}: {from} imports {to}, and that leads back to it");
-                let breach = Breach::new(&modules.sources[module].path, *line, what);
-                let edges = folders.entry(&module[..shared]).or_default();
-                edges.push((from, to.clone(), breach));
+            let folder = [&[root.to_owned()], &module[..shared]].concat().join("/");
+            if let (Some(from), Some(to)) = (module.get(..=shared), defining.get(..=shared))
+                && !CIRCLES.contains(&&*folder)
+            {
+                edges.push((from.to_vec(), to.to_vec(), modules.files[module], *line));
             }
         }
-        for (folder, mut edges) in folders {
-            if CIRCLES.contains(&&*[&[root.to_owned()], folder].concat().join("/")) {
-                continue;
-            }
-            // What leads nowhere, or comes from nowhere, is in no circle.
-            let mut before = usize::MAX;
-            while edges.len() < before {
-                before = edges.len();
-                let all = edges.clone();
-                edges.retain(|(from, to, _)| {
-                    all.iter().any(|edge| edge.0 == to) && all.iter().any(|edge| edge.1 == *from)
-                });
-            }
-            breaches.extend(edges.into_iter().map(|(.., breach)| breach));
+        // What leads nowhere, or comes from nowhere, is in no circle.
+        let mut before = usize::MAX;
+        while edges.len() < before {
+            before = edges.len();
+            let ends = edges.iter().map(|(from, to, ..)| (from.clone(), to.clone()));
+            let (starts, ends): (BTreeSet<_>, BTreeSet<_>) = ends.unzip();
+            edges.retain(|(from, to, ..)| starts.contains(to) && ends.contains(from));
         }
+        breaches.extend(edges.into_iter().map(|(from, to, file, line)| {
+            let (from, to) = (from.join("::"), to.join("::"));
+            (file.into(), line, format!("{root}: {from} imports {to}, and that leads back to it"))
+        }));
     }
     breaches
 }

@@ -1,46 +1,22 @@
-//! The project's files as the rules see them: manifests as tables, sources as tokens with lines.
+//! The project's files as the rules see them: texts, and the tokens of sources with their lines.
 //!
 //! Comments and texts are no tokens, so that a rule about code never trips over a sentence that
 //! speaks of it. The tree is plain data: a rule can be shown a small false one.
 
-use proc_macro2::{Delimiter, TokenStream, TokenTree};
-use std::collections::BTreeMap;
+use proc_macro2::{Delimiter, Span, TokenStream, TokenTree};
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
 /// The packages of a robot in operation. Test doubles are named after what they stand for.
-pub(crate) const PRODUCT: [&str; 10] = [
-    "core/src",
-    "core/trees/src",
-    "core/lite/src",
-    "core/contract/src",
-    "core/macros/src",
-    "transports/src",
-    "actors/src",
-    "actors/robot/src",
-    "actors/cli/src",
-    "actors/demo/src",
-];
+pub(crate) const PRODUCT: &str = "core/src core/trees/src core/lite/src core/contract/src \
+    core/macros/src transports/src actors/src actors/robot/src actors/cli/src actors/demo/src";
 
-/// Where a rule is broken, and how.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Breach {
-    /// The file, from the project's root.
-    pub(crate) path: String,
-    /// The line, from 1.
-    pub(crate) line: usize,
-    /// What stands there.
-    pub(crate) what: String,
-}
-
-impl Breach {
-    pub(crate) fn new(path: &str, line: usize, what: impl Into<String>) -> Breach {
-        Breach { path: path.into(), line, what: what.into() }
-    }
-}
+/// Where a rule is broken: the file from the project's root, the line from 1, and what stands there.
+pub(crate) type Breaches = BTreeSet<(String, usize, String)>;
 
 /// One word or sign of a source; brackets are tokens themselves, and so is `::`.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub(crate) struct Token {
     pub(crate) text: String,
     pub(crate) line: usize,
@@ -48,114 +24,12 @@ pub(crate) struct Token {
     pub(crate) depth: usize,
 }
 
-/// Whether these tokens, parted by blanks, begin the others: `Instant :: now`.
-pub(crate) fn begins(tokens: &[Token], code: &str) -> bool {
-    let mut tokens = tokens.iter();
-    code.split(' ').all(|wanted| tokens.next().is_some_and(|token| token.text == wanted))
-}
-
-/// One Rust source.
-#[derive(Debug)]
-pub(crate) struct Source {
-    pub(crate) path: String,
-    pub(crate) tokens: Vec<Token>,
-    /// The tokens that are not only for tests.
-    pub(crate) code: Vec<Token>,
-}
-
-impl Source {
-    fn new(path: &str, text: &str) -> Source {
-        let stream: TokenStream =
-            text.parse().unwrap_or_else(|error| panic!("{path}: {error}: rustfmt shows where"));
-        let mut tokens = Vec::new();
-        flatten(stream, 0, &mut tokens);
-        let is_test = |part: &str| matches!(part, "tests" | "tests.rs" | "benches");
-        let code = if path.split('/').any(is_test) { Vec::new() } else { without_tests(&tokens) };
-        Source { path: path.into(), tokens, code }
-    }
-}
-
-fn flatten(stream: TokenStream, depth: usize, out: &mut Vec<Token>) {
-    let mut colon = false;
-    for tree in stream {
-        let line = tree.span().start().line;
-        let mut push = |text: &str, line| out.push(Token { text: text.into(), line, depth });
-        let joined = std::mem::take(&mut colon);
-        match tree {
-            TokenTree::Group(group) => {
-                let (open, close) = match group.delimiter() {
-                    Delimiter::Parenthesis => ("(", ")"),
-                    Delimiter::Brace => ("{", "}"),
-                    Delimiter::Bracket => ("[", "]"),
-                    Delimiter::None => ("", ""),
-                };
-                push(open, line);
-                flatten(group.stream(), depth + 1, out);
-                let line = group.span_close().start().line;
-                out.push(Token { text: close.into(), line, depth });
-            }
-            TokenTree::Punct(sign) if sign.as_char() == ':' && joined => {
-                out.last_mut().expect("the first colon").text = "::".into();
-            }
-            other => {
-                let text = other.to_string();
-                colon = text == ":";
-                push(&text, line);
-            }
-        }
-    }
-}
-
-/// The tokens without each item, statement or field behind `#[cfg(test)]`, or `#[cfg(all(test, ..`.
-fn without_tests(tokens: &[Token]) -> Vec<Token> {
-    let (mut code, mut at) = (Vec::new(), 0);
-    while let Some(token) = tokens.get(at) {
-        let rest = &tokens[at..];
-        let tests = ["# [ cfg ( test", "# [ cfg ( all ( test"];
-        if !tests.iter().any(|test| begins(rest, test)) {
-            code.push(token.clone());
-            at += 1;
-            continue;
-        }
-        let ends = |end: &Token| {
-            end.depth < token.depth
-                || end.depth == token.depth && matches!(end.text.as_str(), ";" | "," | "}")
-        };
-        at += rest.iter().position(ends).map_or(rest.len(), |end| end + 1);
-    }
-    code
-}
-
-/// The manifest of a package of this workspace, or of the workspace.
-#[derive(Debug)]
-pub(crate) struct Manifest {
-    pub(crate) path: String,
-    pub(crate) table: toml::Table,
-}
-
-impl Manifest {
-    /// The package's name; none in the root manifest.
-    pub(crate) fn package(&self) -> Option<&str> {
-        self.table.get("package")?.get("name")?.as_str()
-    }
-
-    /// The entries of a section of dependencies, those for some targets included.
-    pub(crate) fn dependencies(&self, section: &str) -> Vec<(&str, &toml::Value)> {
-        let targets = self.table.get("target").and_then(toml::Value::as_table);
-        let targets = targets.into_iter().flatten().map(|(_, target)| target.get(section));
-        let sections = targets.chain([self.table.get(section)]).flatten();
-        let entries = sections.filter_map(toml::Value::as_table).flatten();
-        entries.map(|(name, entry)| (name.as_str(), entry)).collect()
-    }
-}
-
-/// All files that rules look at.
-#[derive(Debug, Default)]
+/// All files that rules look at, by their path from the root.
 pub(crate) struct Tree {
-    /// Sources, manifests and pages by their path from the root.
+    /// Sources, manifests and pages.
     pub(crate) files: BTreeMap<String, String>,
-    pub(crate) sources: Vec<Source>,
-    pub(crate) manifests: Vec<Manifest>,
+    /// The tokens of each source, without what is only for tests.
+    pub(crate) code: BTreeMap<String, Vec<Token>>,
 }
 
 impl Tree {
@@ -169,22 +43,70 @@ impl Tree {
     }
 
     pub(crate) fn of(files: BTreeMap<String, String>) -> Tree {
-        let named = |ending| files.iter().filter(move |(path, _)| path.ends_with(ending));
-        let sources = named(".rs").map(|(path, text)| Source::new(path, text)).collect();
-        let manifest = |(path, text): (&String, &String)| Manifest {
-            path: path.clone(),
-            table: text.parse().unwrap_or_else(|error| panic!("{path}: {error}")),
-        };
-        let manifests = named("Cargo.toml").map(manifest).collect();
-        Tree { sources, manifests, files }
+        let is_test = |part: &str| matches!(part, "tests" | "tests.rs" | "benches");
+        let sources =
+            files.iter().filter(|(path, _)| path.ends_with(".rs") && !path.split('/').any(is_test));
+        let code = sources.map(|(path, text)| {
+            let stream: TokenStream =
+                text.parse().unwrap_or_else(|error| panic!("{path}: {error}: rustfmt shows where"));
+            let mut tokens = Vec::new();
+            flatten(stream, 0, &mut tokens);
+            (path.clone(), without_tests(&tokens))
+        });
+        Tree { code: code.collect(), files }
     }
+}
+
+fn flatten(stream: TokenStream, depth: usize, tokens: &mut Vec<Token>) {
+    let token =
+        |text: &str, span: Span| Token { text: text.into(), line: span.start().line, depth };
+    for tree in stream {
+        match tree {
+            TokenTree::Group(group) => {
+                let (open, close) = match group.delimiter() {
+                    Delimiter::Parenthesis => ("(", ")"),
+                    Delimiter::Brace => ("{", "}"),
+                    Delimiter::Bracket | Delimiter::None => ("[", "]"),
+                };
+                tokens.push(token(open, group.span_open()));
+                flatten(group.stream(), depth + 1, tokens);
+                tokens.push(token(close, group.span_close()));
+            }
+            other => match (other.to_string().as_str(), tokens.last_mut()) {
+                (":", Some(colon)) if colon.text == ":" => colon.text.push(':'),
+                (text, _) => tokens.push(token(text, other.span())),
+            },
+        }
+    }
+}
+
+/// The tokens without each item, statement or field behind `#[cfg(test)]`, or `#[cfg(all(test, ..`.
+fn without_tests(tokens: &[Token]) -> Vec<Token> {
+    let (mut code, mut rest) = (Vec::new(), tokens);
+    while let Some(token) = rest.first() {
+        let ends = |end: &Token| {
+            end.depth < token.depth
+                || end.depth == token.depth && matches!(end.text.as_str(), ";" | "," | "}")
+        };
+        let is_test = token.text == "#" && {
+            let attribute: String = rest.iter().take(7).map(|token| token.text.as_str()).collect();
+            attribute.starts_with("#[cfg(test") || attribute.starts_with("#[cfg(all(test")
+        };
+        let mut end = 0;
+        if is_test {
+            end = rest.iter().position(ends).unwrap_or(rest.len() - 1);
+        } else {
+            code.push(token.clone());
+        }
+        rest = &rest[end + 1..];
+    }
+    code
 }
 
 /// Puts every text file below `folder` into `files`; what is built or kept by tools, and what is not to
 /// compile, is left out.
 fn collect(root: &Path, folder: &Path, files: &mut BTreeMap<String, String>) {
-    let entries = fs::read_dir(folder).expect("the project's folders can be read");
-    for entry in entries {
+    for entry in fs::read_dir(folder).expect("the project's folders can be read") {
         let path = entry.expect("the project's folders can be read").path();
         let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
         if path.is_dir() {

@@ -4,10 +4,10 @@ use crate::scenarios::puppet::{Deed, News, Pull, Strings, ask, incarnation, stri
 use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
 use blastema_testkit::TestNode;
+use blastema_tests::MS;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-const MS: Duration = Duration::from_millis(1);
 const HOUR: Duration = Duration::from_secs(3600);
 
 #[blastema_testkit::test]

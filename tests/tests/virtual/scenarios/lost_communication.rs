@@ -6,12 +6,11 @@ use blastema::{
     NodeBuilder, Rung,
 };
 use blastema_testkit::{TestNode, now};
-use blastema_tests::{on_ethernet, plug_cable, pull_cable};
+use blastema_tests::{MS, on_ethernet, plug_cable, pull_cable};
 use std::cell::Cell;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-const MS: Duration = Duration::from_millis(1);
 const SECOND: Duration = Duration::from_secs(1);
 
 #[derive(Clone, Copy, Debug, PartialEq, Request)]

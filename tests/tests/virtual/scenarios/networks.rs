@@ -16,10 +16,8 @@ use blastema::{
     RecoveryStrategy, SessionState, StrategyContext,
 };
 use blastema_testkit::TestNode;
+use blastema_tests::MS;
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
-
-const MS: Duration = Duration::from_millis(1);
 
 /// Another contract of the same name.
 #[derive(Debug, Request)]

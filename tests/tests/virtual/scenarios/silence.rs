@@ -5,9 +5,9 @@ use blastema::Incarnation;
 use blastema::core::detection::Opinion;
 use blastema::prelude::*;
 use blastema_testkit::{TestNode, now};
+use blastema_tests::MS;
 use std::time::Duration;
 
-const MS: Duration = Duration::from_millis(1);
 const HOUR: Duration = Duration::from_secs(3600);
 
 /// A laser that gives a sign of life with each of its rounds.
