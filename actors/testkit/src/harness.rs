@@ -39,7 +39,7 @@ use std::ops::{Deref, DerefMut};
 ///     let gate = Harness::within(node, ChildSpec::new("gate", || Gate)).await;
 ///
 ///     assert!(!gate.ask(IsClear).await?);
-///     assert_eq!(laser.recorded(), 1);
+///     assert_eq!(laser.len(), 1);
 ///     Ok::<(), blastema::RequestError<IsClear>>(())
 /// })?;
 /// # Ok::<(), blastema::RequestError<IsClear>>(())

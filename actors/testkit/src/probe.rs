@@ -3,8 +3,8 @@
 use blastema::prelude::*;
 use blastema::{ActuatorSpec, Contract, Hold};
 use blastema_doubles::Record;
+use std::ops::Deref;
 use std::sync::Arc;
-use std::time::Duration;
 
 /// Records the messages of one contract in place of a component, and answers requests.
 ///
@@ -51,39 +51,14 @@ impl<M: Contract> Probe<M> {
     pub fn new() -> Self {
         Probe::default()
     }
+}
 
-    /// The next message.
-    ///
-    /// # Panics
-    /// When none comes within [`PATIENCE`](crate::PATIENCE).
-    pub async fn expect(&self) -> M {
-        self.0.expect().await
-    }
+/// What was received is found in the record.
+impl<M> Deref for Probe<M> {
+    type Target = Record<M>;
 
-    /// The next message for which `wanted` holds; those before it are thrown away.
-    ///
-    /// # Panics
-    /// When none comes within [`PATIENCE`](crate::PATIENCE).
-    pub async fn wait(&self, wanted: impl FnMut(&M) -> bool) -> M {
-        self.0.wait(wanted).await
-    }
-
-    /// Makes sure that no message comes during this time, nor was there one before.
-    ///
-    /// # Panics
-    /// When there is one.
-    pub async fn expect_none_for(&self, span: Duration) {
-        self.0.expect_none_for(span).await;
-    }
-
-    /// Everything recorded and not yet taken.
-    pub fn drain(&self) -> Vec<M> {
-        self.0.drain()
-    }
-
-    /// How many messages were recorded and not yet taken.
-    pub fn recorded(&self) -> usize {
-        self.0.len()
+    fn deref(&self) -> &Record<M> {
+        &self.0
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::record::Record;
 use actix::prelude::*;
-use std::time::Duration;
+use std::ops::Deref;
 
 /// Receives messages of one type in place of their receiver, records them, and replies.
 ///
@@ -52,39 +52,18 @@ where
     pub fn recipient(&self) -> Recipient<M> {
         self.recipient.clone()
     }
+}
 
-    /// The next message.
-    ///
-    /// # Panics
-    /// When none comes within [`PATIENCE`](crate::PATIENCE).
-    pub async fn expect(&self) -> M {
-        self.record.expect().await
-    }
+/// What was received is found in the record.
+impl<M> Deref for Probe<M>
+where
+    M: Message + Send + 'static,
+    M::Result: Send,
+{
+    type Target = Record<M>;
 
-    /// The next message for which `wanted` holds; those before it are thrown away.
-    ///
-    /// # Panics
-    /// When none comes within [`PATIENCE`](crate::PATIENCE).
-    pub async fn wait(&self, wanted: impl FnMut(&M) -> bool) -> M {
-        self.record.wait(wanted).await
-    }
-
-    /// Makes sure that no message comes during this time, nor was there one before.
-    ///
-    /// # Panics
-    /// When there is one.
-    pub async fn expect_none_for(&self, span: Duration) {
-        self.record.expect_none_for(span).await;
-    }
-
-    /// Everything recorded and not yet taken.
-    pub fn drain(&self) -> Vec<M> {
-        self.record.drain()
-    }
-
-    /// How many messages were recorded and not yet taken.
-    pub fn recorded(&self) -> usize {
-        self.record.len()
+    fn deref(&self) -> &Record<M> {
+        &self.record
     }
 }
 
@@ -116,6 +95,7 @@ mod tests {
     use super::*;
     use crate::{now, paused};
     use blastema_core::Instant;
+    use std::time::Duration;
 
     #[derive(Debug, PartialEq, Message)]
     #[rtype(result = "u32")]
@@ -129,7 +109,7 @@ mod tests {
             assert_eq!(probe.recipient().send(Double(4)).await.unwrap(), 8);
             assert_eq!(probe.recipient().send(Double(5)).await.unwrap(), 10);
 
-            assert_eq!(probe.recorded(), 2);
+            assert_eq!(probe.len(), 2);
             assert_eq!(probe.expect().await, Double(4));
             assert_eq!(probe.drain(), [Double(5)]);
         });

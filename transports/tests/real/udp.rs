@@ -89,7 +89,7 @@ async fn one_frame_to_a_group_reaches_all_others_who_hear_it_and_they_can_answer
     b.send(at_a, "b is");
     // And not what it has said itself.
     a.expect(at_b, "b is").await;
-    assert_eq!(c.frames.recorded(), 0);
+    assert_eq!(c.frames.len(), 0);
 }
 
 #[blastema_macros::test(crate = "blastema_doubles::real")]

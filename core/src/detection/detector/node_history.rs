@@ -109,10 +109,11 @@ impl NodeHistories {
         let age = |(_, history): &(&NodeName, &NodeHistory)| {
             (history.in_loop > 0, history.restarts.last().max(history.offences.last()))
         };
-        if self.nodes.len() == NODES_MAX && !self.nodes.contains_key(node) {
-            if let Some(oldest) = self.nodes.iter().min_by_key(age).map(|(node, _)| node.clone()) {
-                self.nodes.remove(&oldest);
-            }
+        if self.nodes.len() == NODES_MAX
+            && !self.nodes.contains_key(node)
+            && let Some(oldest) = self.nodes.iter().min_by_key(age).map(|(node, _)| node.clone())
+        {
+            self.nodes.remove(&oldest);
         }
         self.nodes.entry(node.clone()).or_insert_with(|| NodeHistory {
             offences: SlidingWindow::new(OFFENCES, PERIOD),

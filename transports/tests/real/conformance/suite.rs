@@ -88,7 +88,7 @@ pub(crate) async fn many_frames_keep_their_order_and_none_is_doubled<M: Medium>(
             assert_eq!(b.frames.expect().await.frame, number.to_be_bytes()[..]);
         }
     }
-    assert_eq!(b.frames.recorded(), 0);
+    assert_eq!(b.frames.len(), 0);
 }
 
 pub(crate) async fn attaching_replaces_who_was_attached_and_tells_the_present_state<M: Medium>() {
@@ -104,7 +104,7 @@ pub(crate) async fn attaching_replaces_who_was_attached_and_tells_the_present_st
     a.send(&at_b, "to the second");
 
     assert_eq!(frames.expect().await.frame, "to the second");
-    assert_eq!(b.frames.recorded(), 0);
+    assert_eq!(b.frames.len(), 0);
 }
 
 pub(crate) async fn a_peer_that_is_gone_and_back_is_reached_again<M: Medium>() {
