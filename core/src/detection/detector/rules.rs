@@ -342,10 +342,9 @@ impl Detector {
                      {waited_percent} % of the time; {}",
                     describe(&figures, victims.len())
                 );
-                let id = self.find(&scene, FaultKind::Overload, detail, Cause::Itself);
-                self.put_behind(id, victims.iter());
+                self.find(&scene, FaultKind::Overload, detail, Cause::Itself);
             }
-            NodeCondition::Relieved => self.end_overload(&scene),
+            NodeCondition::Relieved => self.end_kind(&scene, &FaultKind::Overload),
             NodeCondition::Offends { what } => {
                 if let Some(detail) = self.nodes.handle_offence(&node, what, scene.at) {
                     self.find(&scene, FaultKind::NodeFaulty, detail, Cause::Itself);

@@ -48,7 +48,7 @@ impl ComponentEntry {
         if let ComponentEntry::Resting { judged, mark } = self {
             let ActivityMark { turn, incarnation, expired } = *mark;
             let before = ComponentSample { turn, incarnation, expired, ..reading };
-            let fresh = ComponentRecord::new(judged.clone(), at.0);
+            let fresh = ComponentRecord::new(judged.clone(), at.0, 0);
             let lateness = Lateness::new(at, &before);
             let component = ComponentRecord { reading: Some(before), lateness, ..fresh };
             *self = ComponentEntry::Awake(Box::new(component));
