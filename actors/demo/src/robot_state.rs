@@ -26,8 +26,10 @@ pub(crate) type FoundKey = (Module, u64, FaultId);
 pub(crate) struct FoundFault {
     /// As it was last reported.
     pub(crate) report: FaultReport,
-    /// The injected fault at that time: its number, and whether it was being tried.
+    /// The injected fault when it was reported first: its number, and whether it was being tried.
     pub(crate) during: (u32, bool),
+    /// When a report last showed that it had not ended.
+    pub(crate) stood_at: Instant,
 }
 
 impl FoundFault {
@@ -65,8 +67,13 @@ impl RobotState {
         }
         for fault in &report.faults {
             let known = self.found.entry((module, report.process, fault.id));
-            let known = known.or_insert_with(|| FoundFault { report: fault.clone(), during });
+            let stood_at = Instant::from_nanos(report.at);
+            let fresh = || FoundFault { report: fault.clone(), during, stood_at };
+            let known = known.or_insert_with(fresh);
             known.report.clone_from(fault);
+            if !fault.recovered {
+                known.stood_at = stood_at;
+            }
         }
         let state = self.modules.entry(module).or_default();
         let is_new = report.process != state.report.process;

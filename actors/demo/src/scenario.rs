@@ -217,12 +217,14 @@ impl Scenario {
     }
 
     /// Returns whether a fault is an overload that was not injected.
-    fn is_overload(&self, FoundFault { report, during: (number, _) }: &FoundFault) -> bool {
+    fn is_overload(&self, found: &FoundFault) -> bool {
+        let FoundFault { report, during: (number, _), .. } = found;
+        let is_of_object = matches!(report.location, FaultLocation::Object(_));
         let near = [number.checked_sub(1), number.checked_sub(2)].into_iter().flatten();
         let mut near = near.map(|at| FAULTS[at as usize].judge(report));
         report.kind == FaultKind::Overload
             && report.symptom_of.is_none()
-            && !near.any(|near| near == FaultMatch::Named)
+            && !(is_of_object && near.any(|near| near == FaultMatch::Named))
     }
 
     fn is_broken(&self) -> bool {
@@ -233,7 +235,7 @@ impl Scenario {
 
     /// Describes a fault that was found between two trials and was not injected.
     fn stray(&self, key: &FoundKey, found: &FoundFault) -> Option<String> {
-        let FoundFault { report, during: (number, is_tried) } = found;
+        let FoundFault { report, during: (number, is_tried), .. } = found;
         let FaultReport { kind, location, detail, .. } = report;
         // During the assembly missing cables and nodes are expected; missing objects are not.
         let is_foreign = match number.checked_sub(1) {
