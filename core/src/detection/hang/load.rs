@@ -70,7 +70,8 @@ impl ComponentRecord {
             return None;
         }
         let root = around.kept_by(silent_for);
-        let root = root.filter(|root| *root != OverloadRoot::Computer || !self.had_time(limit));
+        let had_time = self.had_time(limit);
+        let root = root.filter(|root| *root != OverloadRoot::Computer || !had_time);
         if around.hangs() {
             // A hang is the root of what happens behind it. What was given up is not judged any
             // more.
@@ -85,6 +86,9 @@ impl ComponentRecord {
             }
         } else if around.stands(now) && silent_for < limit.max(self.judged.limits.max_block) {
             return None; // The operating system does not run the thread.
+        } else if around.is_overloaded && !had_time {
+            // For how long a thread has waited is known when it is run again.
+            return None;
         }
         if self.silence == Silence::Reported {
             return None;

@@ -336,6 +336,7 @@ impl HangDetector {
     pub fn handle_activities(&mut self, looked: &impl Looked) {
         let (now, missed) = (self.clock, self.missed());
         self.judge_processors();
+        let is_overloaded = self.computer.is_some();
         let HangDetector { arbiters, components, awake, outputs, .. } = self;
         let is_busy =
             |arbiter: &Arbiter| arbiter.is_saturated(WINDOW) || arbiter.processor.is_scarce();
@@ -353,7 +354,8 @@ impl HangDetector {
                 continue;
             }
             let component = watched.wake(looked.activity(slot), (now, missed));
-            let around = Around { slot, arbiter: arbiters.get(&id), is_busy, missed };
+            let arbiter = arbiters.get(&id);
+            let around = Around { slot, arbiter, is_busy, is_overloaded, missed };
             component.handle(&around, looked, now, outputs, &mut late, &mut silent);
             watched.settle(now);
             awake.push(slot);
@@ -371,6 +373,8 @@ struct Around<'a> {
     arbiter: Option<&'a Arbiter>,
     /// The arbiter has had no time to spare within the window, or gets no processor.
     is_busy: bool,
+    /// An overload of the computer stands.
+    is_overloaded: bool,
     /// How long the scanner has not been scheduled, all in all.
     missed: Duration,
 }

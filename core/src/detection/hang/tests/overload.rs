@@ -204,6 +204,19 @@ fn a_component_that_is_silent_though_its_thread_turns_is_so_of_itself_on_a_busy_
 }
 
 #[test]
+fn a_thread_that_is_not_run_at_all_on_an_overloaded_computer_makes_no_component_silent() {
+    let mut road = Road::new(3, 4);
+    road.processor = Some((1, 5));
+    assert!(names(&road.pass(10_000))[0].starts_with("the computer overloads"));
+
+    // What it waits is added when it is run.
+    (road.kept, road.rounds, road.beats, road.processor) = (0, 0, 1000, Some((0, 0)));
+    let seen = names(&road.pass(2000));
+
+    assert!(!seen.contains(&"victim is silent".into()), "{seen:?}");
+}
+
+#[test]
 fn an_overload_of_the_computer_is_over_when_the_load_has_been_gone_for_a_while() {
     let mut road = Road::new(3, 4);
     road.processor = Some((1, 5));
