@@ -41,7 +41,8 @@ pub(crate) enum Blow {
     Inject(&'static [Injection]),
     /// The object is told to break itself, in a way of its own, and keeps its incarnation or not.
     Break { restarts: bool },
-    /// So many messages while the object needs 2 ms for each.
+    /// The object needs 2 ms for each message, and its queue is kept full until it has taken so
+    /// many.
     Flood { messages: u32 },
     /// The cable is silent at both ends, and left so.
     Cut(&'static str),
@@ -144,11 +145,11 @@ pub(crate) static FAULTS: [DemoFault; 10] = [
         "flood",
         Module::Module2,
         "operator",
-        Blow::Flood { messages: 2_000 },
+        Blow::Flood { messages: 1_000 },
         FaultKind::Overload,
     )
     .told([
-        "The operator's panel gets four times the messages that its queue holds.",
+        "The operator's panel gets twice the messages that its queue holds.",
         "What exceeds the queue is refused to its sender, and the rest is served in order.",
         "The panel is late for some seconds, and the robot drives on.",
     ]),
@@ -214,10 +215,16 @@ impl DemoFault {
         FLOWS.iter().filter(|flow| self.object.is_empty() && flow.passes(self.module))
     }
 
-    /// Returns whether the module that found the fault must report its recovery. Software cannot
-    /// recover a cut cable, or a process; the flows show that messages take another path.
-    pub(crate) fn wants_report(&self) -> bool {
-        !self.object.is_empty() || self.blow == Blow::Router
+    /// Returns whether a report of this fault proves it over: of an object, if its recovery was
+    /// reported. Software cannot recover a cut cable, a process, or a computer that has no time.
+    pub(crate) fn is_settled_by(&self, report: &FaultReport) -> bool {
+        report.recovered || !matches!(report.location, FaultLocation::Object(_))
+    }
+
+    /// Returns whether this fault, found before the injection and not ended, may be the only one:
+    /// an overload that stands is not found again.
+    pub(crate) fn may_stand_before(&self, report: &FaultReport) -> bool {
+        report.kind == FaultKind::Overload && self.judge(report) == FaultMatch::Named
     }
 
     /// Returns the relation of a reported fault to this one.
@@ -234,6 +241,10 @@ impl DemoFault {
             (Blow::Router, FaultLocation::Object(at)) => {
                 let here = at.node.as_str() == module.name() && at.object.as_str() == "net/stack";
                 (here && is_kind, here)
+            }
+            // A module that gets no processor names the computer, and the panel as its victim.
+            (Blow::Flood { .. }, FaultLocation::Node(node)) => {
+                (is_kind && node.as_str() == module.name(), false)
             }
             (Blow::Kill, FaultLocation::Node(node)) => {
                 let here = node.as_str() == module.name();
@@ -310,6 +321,15 @@ mod tests {
         let router = object("module1", "net/stack");
         check("panic in the router", FaultKind::Panic, router.clone(), FaultMatch::Named);
         check("panic", FaultKind::Panic, router, FaultMatch::Foreign);
+    }
+
+    #[test]
+    fn a_flood_is_named_by_its_panel_or_by_its_module_that_has_no_time() {
+        let check = |location, wanted| check("flood", FaultKind::Overload, location, wanted);
+        check(object("module2", "operator"), FaultMatch::Named);
+        check(object("module2", "laser"), FaultMatch::Companion);
+        check(FaultLocation::Node(node("module2")), FaultMatch::Named);
+        check(FaultLocation::Node(node("module1")), FaultMatch::Companion);
     }
 
     #[test]

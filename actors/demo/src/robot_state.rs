@@ -4,7 +4,7 @@
 use crate::flow_account::{FlowAccount, FlowLosses};
 use crate::messages::{FaultReport, ModuleReport};
 use crate::robot::{CABLES, DemoCable, FLOWS, Module};
-use blastema::{FaultId, Instant};
+use blastema::{FaultId, FaultKind, Instant};
 use std::collections::BTreeMap;
 
 /// The state of the robot.
@@ -26,8 +26,10 @@ pub(crate) type FoundKey = (Module, u64, FaultId);
 pub(crate) struct FoundFault {
     /// As it was last reported.
     pub(crate) report: FaultReport,
-    /// The injected fault at that time: its number, and whether it was being tried.
+    /// The injected fault when it was reported first: its number, and whether it was being tried.
     pub(crate) during: (u32, bool),
+    /// When a report last showed that it had not ended.
+    pub(crate) stood_at: Instant,
 }
 
 impl FoundFault {
@@ -65,8 +67,13 @@ impl RobotState {
         }
         for fault in &report.faults {
             let known = self.found.entry((module, report.process, fault.id));
-            let known = known.or_insert_with(|| FoundFault { report: fault.clone(), during });
+            let stood_at = Instant::from_nanos(report.at);
+            let fresh = || FoundFault { report: fault.clone(), during, stood_at };
+            let known = known.or_insert_with(fresh);
             known.report.clone_from(fault);
+            if !fault.recovered {
+                known.stood_at = stood_at;
+            }
         }
         let state = self.modules.entry(module).or_default();
         let is_new = report.process != state.report.process;
@@ -77,6 +84,13 @@ impl RobotState {
     /// Handles the end of a module's process.
     pub(crate) fn handle_end(&mut self, module: Module) {
         self.modules.entry(module).or_default().is_ready = false;
+    }
+
+    /// Returns whether a module has reported, while this fault was tried or before the next one, that
+    /// it did not run for a while: the others lose it then, rightly.
+    pub(crate) fn has_paused(&self, number: u32) -> bool {
+        let is_pause = |found: &FoundFault| found.report.kind == FaultKind::NodePaused;
+        self.found.values().any(|found| found.during.0 == number && is_pause(found))
     }
 
     /// From now on flows are unsettled until all that was sent up to now has arrived.
@@ -153,7 +167,7 @@ pub(crate) mod fake {
 
     use super::*;
     use crate::messages::{SinkReport, SourceReport};
-    use blastema::{FaultKind, FaultLocation};
+    use blastema::FaultLocation;
 
     /// The numbers of messages that were sent and received on each flow.
     pub(crate) fn report(module: Module, at_ms: u64, sent: u64) -> ModuleReport {
@@ -211,7 +225,7 @@ pub(crate) mod fake {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use blastema::{FaultKind, FaultLocation, NodeName};
+    use blastema::{FaultLocation, NodeName};
 
     #[test]
     fn a_robot_is_together_when_modules_cables_and_flows_are() {

@@ -9,7 +9,7 @@ use crate::report::{FaultRow, Report, counted, latencies};
 use crate::robot::Module;
 use crate::robot_state::{FoundFault, FoundKey, RobotState};
 use crate::trial::FaultTrial;
-use blastema::{FaultKind, FaultLocation, Instant};
+use blastema::{FaultLocation, Instant};
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -216,13 +216,15 @@ impl Scenario {
         report.with_notes()
     }
 
-    /// Returns whether a fault is an overload that was not injected.
-    fn is_overload(&self, FoundFault { report, during: (number, _) }: &FoundFault) -> bool {
+    /// Returns whether a fault is an overload, or a pause of a node, that was not injected.
+    fn is_overload(&self, found: &FoundFault) -> bool {
+        let FoundFault { report, during: (number, _), .. } = found;
+        let is_of_object = matches!(report.location, FaultLocation::Object(_));
         let near = [number.checked_sub(1), number.checked_sub(2)].into_iter().flatten();
         let mut near = near.map(|at| FAULTS[at as usize].judge(report));
-        report.kind == FaultKind::Overload
+        report.is_of_computer()
             && report.symptom_of.is_none()
-            && !near.any(|near| near == FaultMatch::Named)
+            && !(is_of_object && near.any(|near| near == FaultMatch::Named))
     }
 
     fn is_broken(&self) -> bool {
@@ -233,7 +235,7 @@ impl Scenario {
 
     /// Describes a fault that was found between two trials and was not injected.
     fn stray(&self, key: &FoundKey, found: &FoundFault) -> Option<String> {
-        let FoundFault { report, during: (number, is_tried) } = found;
+        let FoundFault { report, during: (number, is_tried), .. } = found;
         let FaultReport { kind, location, detail, .. } = report;
         // During the assembly missing cables and nodes are expected; missing objects are not.
         let is_foreign = match number.checked_sub(1) {
@@ -246,7 +248,8 @@ impl Scenario {
                     && !matches!(self.scene, Scene::Assembling)
             }
         };
-        (is_foreign && !is_tried).then(|| {
+        let is_of_pause = report.is_of_network() && self.robot.has_paused(*number);
+        (is_foreign && !is_tried && !is_of_pause).then(|| {
             format!("{} named {kind} in {location}, where no fault was injected: {detail}", key.0)
         })
     }

@@ -176,9 +176,9 @@ impl FaultTrial {
         }
     }
 
-    /// The first report of the fault.
+    /// The first report of the fault; one that stood before only if there is no other.
     fn root<'a>(&self, robot: &'a RobotState) -> Option<(&'a FoundKey, &'a FoundFault)> {
-        self.named(robot).min_by_key(|(_, found)| found.report.found_at)
+        self.named(robot).min_by_key(|(_, found)| (!self.is_new(found), found.report.found_at))
     }
 
     /// Returns the row up to now.
@@ -192,7 +192,9 @@ impl FaultTrial {
             problems.extend(found.given_up(key));
             let belated = previous.map_or(FaultMatch::Foreign, |before| before.judge(report));
             match (self.fault.judge(report), belated) {
-                (FaultMatch::Foreign, FaultMatch::Foreign) => {
+                (FaultMatch::Foreign, FaultMatch::Foreign)
+                    if !(report.is_of_network() && robot.has_paused(self.number)) =>
+                {
                     let (kind, place) = (&report.kind, &report.location);
                     problems.push(format!("{} named {kind} in {place}: {}", key.0, report.detail));
                 }
@@ -233,8 +235,17 @@ impl FaultTrial {
         &self,
         robot: &'a RobotState,
     ) -> impl Iterator<Item = (&'a FoundKey, &'a FoundFault)> {
-        let during = (self.number, true);
-        robot.found.iter().filter(move |(_, found)| found.during == during)
+        robot.found.iter().filter(|(_, found)| self.is_new(found))
+    }
+
+    fn is_new(&self, found: &FoundFault) -> bool {
+        found.during == (self.number, true)
+    }
+
+    /// Whether a fault was found before, and still stands after the injection.
+    fn stands_already(&self, found: &FoundFault) -> bool {
+        let stands = self.struck.is_some_and(|[first, _]| found.stood_at >= first);
+        !self.is_new(found) && stands && self.fault.may_stand_before(&found.report)
     }
 
     /// All reports of the fault.
@@ -242,8 +253,11 @@ impl FaultTrial {
         &self,
         robot: &'a RobotState,
     ) -> impl Iterator<Item = (&'a FoundKey, &'a FoundFault)> {
-        let fault = self.fault;
-        self.found(robot).filter(move |(_, found)| fault.judge(&found.report) == FaultMatch::Named)
+        let is_named = |found: &FoundFault| {
+            self.is_new(found) && self.fault.judge(&found.report) == FaultMatch::Named
+        };
+        let all = robot.found.iter();
+        all.filter(move |(_, found)| is_named(found) || self.stands_already(found))
     }
 
     /// Returns whether the two ends were parted for so long that a session may have ended.
@@ -285,9 +299,7 @@ impl FaultTrial {
         let mut missing = Vec::new();
         if self.named(robot).next().is_none() {
             missing.push("the fault was not found".to_owned());
-        } else if self.fault.wants_report()
-            && !self.named(robot).any(|(_, found)| found.report.recovered)
-        {
+        } else if !self.named(robot).any(|(_, found)| self.fault.is_settled_by(&found.report)) {
             missing.push("its recovery was not reported".to_owned());
         }
         if self.back_at(robot).is_none() {

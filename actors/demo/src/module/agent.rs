@@ -7,7 +7,7 @@ use crate::messages::{FaultReport, ModuleReport, ReadModule, SourceReport, Strik
 use crate::robot::FLOWS;
 use blastema::core::detection::{FaultEntry, MonitorRow, Opinion};
 use blastema::prelude::*;
-use blastema::{DeadReason, Direction, FaultLocation, Injection, platform};
+use blastema::{DeadReason, DeliveryError, Direction, FaultLocation, Injection, platform};
 use rustix::process::{Signal, getpid, kill_process};
 use std::time::Duration;
 use tokio::task::yield_now;
@@ -21,8 +21,6 @@ const EAGER_PINGS: u32 = 100;
 const BETWEEN_PINGS: Duration = Duration::from_millis(1);
 /// How long an object needs for one message of a flood, so that its queue fills.
 const FLOODED: Duration = Duration::from_millis(2);
-/// Messages in one burst of a flood: more than the object serves until the next burst.
-const BURST: u32 = 3;
 
 /// The director's agent. It is on a node of its own, whose network is never cut.
 #[derive(Debug)]
@@ -151,13 +149,18 @@ async fn served(ping: &Sender<Ping>, incarnation: u64) {
     }
 }
 
+/// Keeps the queue full until it has taken so many messages: a pace in time is no flood where the
+/// computer is so busy that this sleeps for longer than the object needs.
 async fn flood(ping: &Sender<Ping>, messages: u32) {
-    for _ in 0..messages / BURST {
-        for _ in 0..BURST {
-            // A full queue refuses the message, as the flood intends.
-            let _ = ping.tell(Ping {});
+    let mut taken = 0;
+    while taken < messages {
+        match ping.tell(Ping {}) {
+            Ok(()) => taken += 1,
+            Err(refused) if refused.kind == DeliveryError::Full => {
+                sleep(Duration::from_millis(1)).await;
+            }
+            Err(_) => return,
         }
-        sleep(Duration::from_millis(1)).await;
     }
 }
 

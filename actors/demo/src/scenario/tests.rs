@@ -5,6 +5,7 @@ use crate::faults::{Blow, DemoFault};
 use crate::flow_account::FlowLosses;
 use crate::messages::{SinkReport, Strike};
 use crate::robot_state::fake;
+use blastema::FaultKind;
 use blastema::core::{NodeName, ObjectAddress, ObjectName};
 
 /// The promise that the simulated robot breaks.
@@ -30,6 +31,10 @@ enum Flaw {
     ReturnsLate,
     /// The computer is too busy: no flaw.
     MissesRounds,
+    /// A module does not run for a while, and the others lose it: no flaw.
+    Pauses,
+    /// An overload of the computer stands, and the fault is found as no other: no flaw.
+    HasNoTime,
 }
 
 /// How long after the fault it is found, in milliseconds.
@@ -115,7 +120,7 @@ fn run(flaw: Flaw, title: &str) -> Report {
                 let mut report = fake::fault(id, fault.kind.clone(), place_of(fault));
                 report.found_at = (now + FOUND) * 1_000_000;
                 report.recovered = flaw != Flaw::NotReported || !is_now;
-                if !(flaw == Flaw::NotFound && is_now) {
+                if !(matches!(flaw, Flaw::NotFound | Flaw::HasNoTime) && is_now) {
                     found.push(report);
                 }
                 let another = |kind, place| fake::fault(100 + id, kind, place);
@@ -125,6 +130,16 @@ fn run(flaw: Flaw, title: &str) -> Report {
                     Flaw::ReturnsEarly | Flaw::ReturnsLate if is_now => returned += 5,
                     Flaw::WrongCulprit if is_now => {
                         found.push(another(FaultKind::Hang, object(Module::Module2, "operator")));
+                    }
+                    Flaw::Pauses if is_now => {
+                        let of = |module| FaultLocation::Node(node(module));
+                        found.push(another(FaultKind::NodeLost, of(Module::Module3)));
+                        let paused = fake::fault(200, FaultKind::NodePaused, of(Module::Module1));
+                        found.push(paused);
+                    }
+                    Flaw::HasNoTime if number == 0 => {
+                        let computer = FaultLocation::Node(node(Module::Module2));
+                        found.push(another(FaultKind::Overload, computer));
                     }
                     Flaw::MissesRounds => {
                         found.push(another(FaultKind::Overload, object(Module::Module1, "safety")));
@@ -195,6 +210,7 @@ fn what_the_robot_does_wrong_breaks_the_row_in_which_it_happens() {
         assert!(report.rows.iter().any(|row| row.fault.title == title), "{flaw:?}");
     };
     check(Flaw::NotFound, "hang", "was not found");
+    check(Flaw::NotFound, "flood", "was not found");
     check(Flaw::NotReported, "error state", "not reported");
     check(Flaw::NotBack, "silent object", "service is not back");
     check(Flaw::WrongCulprit, "hang", "module1 named hang in module2:operator");
@@ -226,6 +242,25 @@ fn overloads_of_a_busy_computer_are_told_and_break_no_promise() {
 
     assert!(report.promises_kept, "{:?} {:?}", report.rows, report.problems);
     assert_eq!((report.overloads, run(Flaw::None, "").overloads), (10, 0));
+}
+
+#[test]
+fn a_module_that_the_computer_does_not_run_is_told_and_breaks_no_promise() {
+    let report = run(Flaw::Pauses, "panic");
+
+    assert!(report.promises_kept, "{:?} {:?}", report.rows, report.problems);
+    assert_eq!(report.overloads, 1);
+}
+
+#[test]
+fn a_flood_on_a_computer_that_has_no_time_is_found_as_the_overload_that_stands() {
+    let report = run(Flaw::HasNoTime, "flood");
+
+    assert!(report.promises_kept, "{:?} {:?}", report.rows, report.problems);
+    let named = report.rows.last().and_then(|row| row.named.as_ref()).expect("it was found");
+    assert_eq!((&named.code[..], &named.location[..], report.overloads), ("B09", "module2", 1));
+    let report = run(Flaw::HasNoTime, "hang");
+    assert!(!report.promises_kept, "it is no other fault");
 }
 
 #[test]

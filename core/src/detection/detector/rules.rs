@@ -334,8 +334,7 @@ impl Detector {
                      {waited_percent} % of the time; {}",
                     describe(&figures, victims.len())
                 );
-                let id = self.find(&scene, FaultKind::Overload, detail, Cause::Itself);
-                self.put_behind(id, victims.iter());
+                self.find(&scene, FaultKind::Overload, detail, Cause::Itself);
             }
             NodeCondition::Relieved => self.end_kind(&scene, &FaultKind::Overload),
             NodeCondition::Offends { what } => {

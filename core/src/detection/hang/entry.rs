@@ -49,7 +49,7 @@ impl ComponentEntry {
         if let ComponentEntry::Resting { judged, mark } = self {
             let ActivityMark { turn, incarnation, expired } = *mark;
             let before = ComponentSample { turn, incarnation, expired, ..reading };
-            let fresh = ComponentRecord::new(judged.clone(), now);
+            let fresh = ComponentRecord::new(judged.clone(), now, 0);
             let lateness = Lateness::new(now, blind, &before);
             let component = ComponentRecord { reading: Some(before), lateness, ..fresh };
             *self = ComponentEntry::Awake(Box::new(component));

@@ -65,11 +65,13 @@ impl ComponentRecord {
         let pushed =
             pushed.map(|limit| if self.last_sign.is_some() { limit.between } else { limit.first });
         let limit = pushed.or(self.judged.limits.max_unanswered)?.max(reading.allowance);
-        let silent_for = now - self.alive_since;
+        let silent_for = now - self.awaited.since;
         if silent_for < limit {
             return None;
         }
         let root = around.kept_by(silent_for);
+        let had_time = self.had_time(limit);
+        let root = root.filter(|root| *root != OverloadRoot::Computer || !had_time);
         if around.hangs() {
             // A hang is the root of what happens behind it. What was given up is not judged any
             // more.
@@ -79,11 +81,14 @@ impl ComponentRecord {
             let (itself, queue) = (OverloadRoot::Component(slot), QueueReading::default());
             let root = root.unwrap_or(itself);
             late.push(Late { slot, root, queue, missed: 0, expired: 0, silent_for });
-            if root == itself {
+            if root == itself || root == OverloadRoot::Computer {
                 return None;
             }
         } else if around.stands(now) && silent_for < limit.max(self.judged.limits.max_block) {
             return None; // The operating system does not run the thread.
+        } else if around.is_overloaded && !had_time {
+            // For how long a thread has waited is known when it is run again.
+            return None;
         }
         if self.silence == Silence::Reported {
             return None;
@@ -92,12 +97,20 @@ impl ComponentRecord {
         Some(self.says(reading, Finding::Silent { age: silent_for }))
     }
 
+    /// Its thread has turned as often as it does within this limit on a processor of its own, and
+    /// it awaits nothing: it had time for a sign of life, however seldom the thread was run.
+    fn had_time(&self, limit: Duration) -> bool {
+        let beats = u32::try_from(self.beat.saturating_sub(self.awaited.beat)).unwrap_or(u32::MAX);
+        self.reading.is_some_and(|reading| reading.turn.is_multiple_of(2))
+            && LOOK.saturating_mul(beats) >= limit
+    }
+
     /// It has so much else to do that it gives no sign of life.
     fn is_flooded(&self, around: &Around<'_>, looked: &impl Looked, span: Duration) -> bool {
         let keeps_its_thread = |arbiter: &Arbiter| {
             arbiter.occupancy.share_of(around.slot, looks_in(span)) >= SATURATED
         };
-        self.worked
+        self.awaited.worked
             && (around.arbiter.is_some_and(keeps_its_thread)
                 || looked.queue(around.slot).oldest > self.judged.limits.max_delay)
     }
@@ -208,9 +221,8 @@ impl HangDetector {
     pub(super) fn relieve(&mut self, now: Instant) {
         let mut free = Vec::new();
         let is_over = |episode: &mut Episode| now - episode.latest >= RELIEF;
-        if let Some(episode) = self.computer.take_if(is_over) {
+        if self.computer.take_if(is_over).is_some() {
             self.outputs.push_back(LivenessEvent::Computer(NodeCondition::Relieved));
-            free.extend(episode.victims);
         }
         for &slot in &self.awake {
             let entry = self.components.get_mut(slot);
@@ -228,7 +240,8 @@ impl HangDetector {
             if let Some(component) = entry.and_then(ComponentEntry::awake_mut)
                 && component.silence == Silence::Reported
             {
-                (component.silence, component.alive_since) = (Silence::Void, now);
+                component.silence = Silence::Void;
+                component.await_sign(now);
             }
         }
     }

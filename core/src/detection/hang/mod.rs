@@ -10,8 +10,9 @@
 //! *overloaded*; where another one keeps their thread, that one is, and the late ones are its
 //! victims. What a victim suffers is reported after its root. Where the thread itself waits for a
 //! processor, and runs for less than two thirds of the time, it is the computer that is overloaded:
-//! such a thread says nothing about its components. An overload stands until nothing was late
-//! because of it for a while, by half of the limits that it exceeded.
+//! such a thread says nothing about its components, but for one that gives no sign of life although
+//! the thread has turned as often as it does within the limit. An overload stands until nothing was
+//! late because of it for a while, by half of the limits that it exceeded.
 //!
 //! A handler that keeps its thread is charged the time for which the thread was run, where it is
 //! ready to run: all of it, however late the looks come, and nothing else. Everything else is
@@ -87,17 +88,25 @@ struct ComponentRecord {
     /// How long its arbiter had been starved at the last look.
     starved: Duration,
     turn_since: Instant,
-    alive_since: Instant,
+    awaited: AwaitedSign,
     /// When it was last seen to have given a sign of life, in this incarnation.
     last_sign: Option<Instant>,
-    /// Its turn has moved since its last sign of life.
-    worked: bool,
     /// This turn has been reported.
     waits: bool,
     silence: Silence,
     lateness: Lateness,
     /// An overload whose root it is.
     overload: Option<Episode>,
+}
+
+/// The next sign of life.
+#[derive(Clone, Copy, Debug)]
+struct AwaitedSign {
+    since: Instant,
+    /// The arbiter's beat then.
+    beat: u64,
+    /// The component's turn has moved since.
+    worked: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -146,7 +155,7 @@ impl HangDetector {
 
     /// This component is judged from now on.
     pub fn handle_enter(&mut self, slot: SlotId, judged: JudgedComponent) {
-        let component = ComponentRecord::new(judged, self.clock);
+        let component = ComponentRecord::new(judged, self.clock, 0);
         self.components.insert(slot, ComponentEntry::Awake(Box::new(component)));
     }
 
@@ -327,6 +336,7 @@ impl HangDetector {
     pub fn handle_activities(&mut self, looked: &impl Looked) {
         let (now, missed) = (self.clock, self.missed());
         self.judge_processors();
+        let is_overloaded = self.computer.is_some();
         let HangDetector { arbiters, components, awake, outputs, .. } = self;
         let is_busy =
             |arbiter: &Arbiter| arbiter.is_saturated(WINDOW) || arbiter.processor.is_scarce();
@@ -344,7 +354,8 @@ impl HangDetector {
                 continue;
             }
             let component = watched.wake(looked.activity(slot), now, missed);
-            let around = Around { slot, arbiter: arbiters.get(&id), is_busy, missed };
+            let arbiter = arbiters.get(&id);
+            let around = Around { slot, arbiter, is_busy, is_overloaded, missed };
             component.handle(&around, looked, now, outputs, &mut late, &mut silent);
             watched.settle(now);
             awake.push(slot);
@@ -362,6 +373,8 @@ struct Around<'a> {
     arbiter: Option<&'a Arbiter>,
     /// The arbiter has had no time to spare within the window, or gets no processor.
     is_busy: bool,
+    /// An overload of the computer stands.
+    is_overloaded: bool,
     /// How long the scanner has not been scheduled, all in all.
     missed: Duration,
 }
@@ -389,16 +402,15 @@ impl Around<'_> {
 }
 
 impl ComponentRecord {
-    fn new(judged: JudgedComponent, now: Instant) -> Self {
+    fn new(judged: JudgedComponent, now: Instant, beat: u64) -> Self {
         ComponentRecord {
             judged,
             reading: None,
-            beat: 0,
+            beat,
             starved: Duration::ZERO,
             turn_since: now,
-            alive_since: now,
+            awaited: AwaitedSign { since: now, beat, worked: false },
             last_sign: None,
-            worked: false,
             waits: false,
             silence: Silence::No,
             lateness: Lateness::default(),
@@ -420,9 +432,15 @@ impl ComponentRecord {
         self.turn_since < now && is_unheard && is_well && self.reading.is_some_and(is_idle)
     }
 
+    /// The next sign of life is awaited from now on.
+    fn await_sign(&mut self, now: Instant) {
+        self.awaited = AwaitedSign { since: now, beat: self.beat, worked: false };
+    }
+
     /// It had no chance to work: all is measured from now on.
     fn void(&mut self, now: Instant) {
-        (self.turn_since, self.alive_since, self.waits) = (now, now, false);
+        (self.turn_since, self.waits) = (now, false);
+        self.await_sign(now);
         self.lateness.void();
         if self.silence == Silence::Reported {
             self.silence = Silence::Void;
@@ -445,29 +463,30 @@ impl ComponentRecord {
         let starved = around.arbiter.map_or(Duration::ZERO, |arbiter| arbiter.starved);
         let waited = starved.saturating_sub(std::mem::replace(&mut self.starved, starved));
         let Some(before) = before.filter(|before| before.incarnation == reading.incarnation) else {
-            let fresh = ComponentRecord::new(self.judged.clone(), now);
+            let fresh = ComponentRecord::new(self.judged.clone(), now, beat);
             let lateness = Lateness::new(now, around.missed, &reading);
-            *self = ComponentRecord { reading: Some(reading), beat, starved, lateness, ..fresh };
+            *self = ComponentRecord { reading: Some(reading), starved, lateness, ..fresh };
             return;
         };
         self.turn_since = (self.turn_since + waited).min(now);
-        self.alive_since = (self.alive_since + waited).min(now);
+        self.awaited.since = (self.awaited.since + waited).min(now);
         let turned = before.turn != reading.turn;
         if turned {
             if self.waits {
                 let objects = [self.judged.object.clone()].into();
                 outputs.push_back(LivenessEvent::Resumed { objects });
             }
-            (self.turn_since, self.waits, self.worked) = (now, false, true);
+            (self.turn_since, self.waits, self.awaited.worked) = (now, false, true);
         }
         if before.allowance != reading.allowance {
-            (self.turn_since, self.alive_since) = (now, now);
+            self.turn_since = now;
+            self.await_sign(now);
         }
         let signs = before.alive != reading.alive;
         // Where it is asked, any movement is an answer.
         let answers = self.judged.limits.max_unanswered.is_some() && (turned || beats);
         if signs || answers || (!reading.speaks && self.judged.limits.max_unanswered.is_none()) {
-            (self.alive_since, self.worked) = (now, false);
+            self.await_sign(now);
             if signs {
                 self.last_sign = Some(now);
             }
