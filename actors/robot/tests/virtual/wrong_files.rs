@@ -108,9 +108,10 @@ fn a_tree_without_end_is_a_mistake_and_no_crash() {
     let file = folder.path().join("deep.robot.xml");
     let deep = 20_000;
     for element in ["supervisor", "process"] {
+        let begins = (0..deep).map(|at| format!("<{element} name=\"s{at}\">\n"));
         let text = format!(
             "<robot schema=\"1\" name=\"r\"><node name=\"base\">\n{}{}</node></robot>\n",
-            format!("<{element} name=\"s\">\n").repeat(deep),
+            begins.collect::<String>(),
             format!("</{element}>\n").repeat(deep)
         );
         fs::write(&file, text).expect("it can be written");
