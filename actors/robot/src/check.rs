@@ -287,6 +287,11 @@ impl<'a> RobotChecker<'a> {
                 let at = (origin_of(name.as_str()), part.into());
                 ("robot::setting", at, sentence.to_owned(), help.to_owned())
             }
+            StartError::Spec(SpecError::Reserved { name }) => {
+                let (sentence, help) = sentence.split_once(": ").unwrap_or((&sentence, ""));
+                let at = (origin_of(name.as_str()), "name".into());
+                ("robot::value", at, sentence.to_owned(), help.to_owned())
+            }
             StartError::Spec(SpecError::ActuatorSettings { name, contract, field, why }) => {
                 let (sentence, part, help) =
                     self.actuator(node, name.as_str(), &contract, field.as_deref(), &why);

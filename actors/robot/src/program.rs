@@ -41,13 +41,14 @@ impl fmt::Debug for RobotFileError {
 
 impl std::error::Error for RobotFileError {}
 
-/// Returns the program that a robot file names, which has the types of its components.
+/// Returns the program that a robot file names, with these values of its arguments. The program has
+/// the types of its components.
 ///
 /// # Errors
 /// The file cannot be read, is no XML, or names no program.
-pub fn program_of(file: &Path) -> Result<PathBuf, RobotFileError> {
+pub fn program_of(file: &Path, set: &[(String, String)]) -> Result<PathBuf, RobotFileError> {
     let refused = |report, is_unreadable| RobotFileError { report, is_unreadable };
-    let read = reader::read(file, &[]);
+    let read = reader::read(file, set);
     let reading = read.map_err(|report| refused(report, true))?;
     reading.robot.program.ok_or_else(|| match reading.findings.is_empty() {
         true => {

@@ -455,6 +455,12 @@ const NODE_CHILDREN: &str =
 
 /// A component, device or process, once for each copy, or a supervisor with what is below it.
 fn child(element: &RobotElement<'_>, children: &mut Vec<ChildDescription>) {
+    if element.node.ancestors().nth(NESTED_MAX).is_some() {
+        let sentence = format!("more than {NESTED_MAX} elements stand within each other");
+        let help = "make the tree flatter";
+        element.find_at("robot::limit", "name", ValueError::new(sentence, "one too many", help));
+        return element.leave();
+    }
     if element.name() != "supervisor" {
         // The attribute is the same for each copy, and is read before there is one.
         let copies = element.take("copies", value::copies);
@@ -471,12 +477,6 @@ fn child(element: &RobotElement<'_>, children: &mut Vec<ChildDescription>) {
             copied.take("copies", value::text);
             children.push(read(&copied));
         }
-        return element.leave();
-    }
-    if element.node.ancestors().nth(NESTED_MAX).is_some() {
-        let sentence = format!("more than {NESTED_MAX} elements stand within each other");
-        let help = "make the tree of supervisors flatter";
-        element.find_at("robot::limit", "name", ValueError::new(sentence, "one too many", help));
         return element.leave();
     }
     let mut supervisor = SupervisorDescription {

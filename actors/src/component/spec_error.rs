@@ -21,10 +21,8 @@ pub enum SpecError {
     /// middleware.
     #[error(transparent)]
     Taken(#[from] NameTaken),
-    /// Its name begins as those of the middleware's own objects do: `chain/` or `net/`.
-    #[error(
-        "the name {name} is reserved: those that begin with `chain/` or `net/` are the middleware's own"
-    )]
+    /// Its name is one of those that the middleware keeps for its own objects, which the text lists.
+    #[error("the name {name} is reserved: the middleware's own are, or begin with, {RESERVED}")]
     Reserved {
         /// The reserved name.
         name: ObjectName,
@@ -189,16 +187,18 @@ pub(crate) fn did_you_mean(nearest: Option<&ObjectName>) -> String {
     nearest.map_or_else(String::new, |name| format!(": did you mean `{name}`?"))
 }
 
-/// What the names of the middleware's own objects begin with, wherever more of them may come.
-const RESERVED: [&str; 2] = ["chain", "net"];
+/// The names of the middleware's own objects; of those that end in a slash, the beginnings.
+const RESERVED: &str = "beacons/, cable/, chain/, conditions, conditions/, controller, inspection, \
+    leases, net/, safe-outputs, transport/, variables";
 
 impl SpecError {
     /// Takes a name for an object of the application.
     pub(crate) fn check_name(name: ObjectName) -> Result<ObjectName, Self> {
-        match name.as_str().split_once('/') {
-            Some((first, _)) if RESERVED.contains(&first) => Err(SpecError::Reserved { name }),
-            _ => Ok(name),
-        }
+        let is_reserved = RESERVED.split(", ").any(|kept| match kept.ends_with('/') {
+            true => name.as_str().starts_with(kept),
+            false => name.as_str() == kept,
+        });
+        if is_reserved { Err(SpecError::Reserved { name }) } else { Ok(name) }
     }
 
     /// A setting of the component or supervisor called so that makes no sense.

@@ -1,8 +1,9 @@
 //! The manual: how to build a robot with this crate, and what it guarantees.
 //!
 //! Each page begins with the shortest working example, and then states guarantees and limits. The
-//! examples run as tests. Whole programs, one lesson a file, are in the folder `examples`; run them
-//! by `cargo run -p blastema-examples --example hello`.
+//! examples run as tests, but for those of the test kit, which depends on this crate. Whole
+//! programs, one lesson a file, are in the folder `examples`; run them by
+//! `cargo run -p blastema-examples --example hello`.
 //!
 //! | page | answers |
 //! | --- | --- |

@@ -7,31 +7,34 @@ use std::env;
 use std::path::Path;
 use std::process::Command;
 
-/// The list with the changes that a user has made to its text.
+/// The list with the changes that a user has made to its text, which stands in the file `own` while
+/// an editor has it.
 pub(super) fn edited(
     roster: &NodeRoster,
-    robot_file: &Path,
+    own: &Path,
     from: Option<&Path>,
 ) -> Result<NodeRoster, String> {
-    let own = robot_file.with_extension("edited");
     let path = match from {
         Some(path) => path,
+        None if own.exists() => {
+            let path = own.display();
+            return Err(format!(
+                "{path} is there from an edit before: run `blastema keys edit --from {path}`, or \
+                 remove it"
+            ));
+        }
         None => {
-            write(&own, &roster.to_text(), SECRET, Existing::Keep)?;
-            run_editor(&own)?;
-            &own
+            write(own, &roster.to_text(), SECRET, Existing::Keep)?;
+            run_editor(own)?;
+            own
         }
     };
     let text = read_public(path)?;
     let checked = NodeRoster::parse(&text).map_err(|error| error.to_string());
-    let checked = checked.and_then(|edited| check(roster, edited)).map_err(|reason| {
+    checked.and_then(|edited| check(roster, edited)).map_err(|reason| {
         let path = path.display();
         format!("{path}: {reason}; correct it, and run `blastema keys edit --from {path}`")
-    })?;
-    if from.is_none() {
-        std::fs::remove_file(&own).map_err(|error| format!("{}: {error}", own.display()))?;
-    }
-    Ok(checked)
+    })
 }
 
 fn run_editor(path: &Path) -> Result<(), String> {

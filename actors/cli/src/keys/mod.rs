@@ -42,11 +42,17 @@ pub(crate) fn run(job: &KeysJob) -> Result<bool, String> {
         }
         KeysJob::Edit { robot, push, text } => {
             let signer = Signer::open(robot)?;
-            let edited = edit::edited(&signer.robot.roster, &signer.path, text.as_deref())?;
-            signer.change(push, |signer| {
+            let own = signer.path.with_extension("edited");
+            let edited = edit::edited(&signer.robot.roster, &own, text.as_deref())?;
+            let is_done = signer.change(push, |signer| {
                 signer.robot.roster = edited;
                 Ok(Vec::new())
-            })
+            })?;
+            // Until the list is written, the user's text is nowhere else.
+            if text.as_ref().is_none_or(|from| *from == own) {
+                fs::remove_file(&own).map_err(|error| format!("{}: {error}", own.display()))?;
+            }
+            Ok(is_done)
         }
     }
 }

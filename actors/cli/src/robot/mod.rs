@@ -3,6 +3,7 @@
 use crate::args::{NewOptions, RobotOptions};
 use crate::print;
 use blastema_robot::program_of;
+use std::ffi::OsString;
 use std::io::{self, Write};
 use std::os::unix::fs::MetadataExt;
 use std::os::unix::process::CommandExt;
@@ -32,7 +33,7 @@ const TAKEN: &str = "abstract alloc as async await become blastema blastema_robo
 
 /// Becomes the program of a robot file. False: the file has mistakes.
 pub(crate) fn run(command: &str, options: &RobotOptions) -> Result<bool, String> {
-    let program = match program_of(&options.file) {
+    let program = match program_of(&options.file, &set_in(&options.more)) {
         Ok(program) => program,
         Err(error) if error.is_unreadable => return Err(error.to_string()),
         Err(error) => {
@@ -51,6 +52,17 @@ pub(crate) fn run(command: &str, options: &RobotOptions) -> Result<bool, String>
     }
     let error = Command::new(&program).arg(command).arg(&options.file).args(&options.more).exec();
     Err(format!("the program {} of the file does not start: {error}: build it", program.display()))
+}
+
+/// The values of arguments among the options of a robot's program.
+fn set_in(options: &[OsString]) -> Vec<(String, String)> {
+    let (mut set, mut words) = (Vec::new(), options.iter().filter_map(|word| word.to_str()));
+    while let Some(word) = words.next() {
+        let written = if word == "--set" { words.next() } else { word.strip_prefix("--set=") };
+        let parts = written.and_then(|written| written.split_once('='));
+        set.extend(parts.map(|(name, value)| (name.to_owned(), value.to_owned())));
+    }
+    set
 }
 
 /// Writes a robot.

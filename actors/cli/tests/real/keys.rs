@@ -127,7 +127,11 @@ fn keys_are_made_changed_and_shown_without_any_secret() {
         .replace(" role operator", "")
         .replace("end\n", "policy\n  only base may lease on base/**\nend\n");
     fs::write(bench.at("text"), edited).expect("it can be written");
-    bench.done(&["edit", "--from", "text"]);
+    // What an editor has left after a mistake is removed once it is right, another file is not.
+    fs::copy(bench.at("text"), bench.at("ranger.edited")).expect("a copy");
+    bench.refused(&["edit"], &["run `blastema keys edit --from ranger.edited`, or remove it"]);
+    bench.done(&["edit", "--from", "ranger.edited"]);
+    assert!(!bench.at("ranger.edited").exists() && bench.at("text").exists());
     let shown = bench.done(&["show"]);
     assert!(shown.contains("policy 1: only base may lease on base/**"), "{shown}");
     assert!(shown.contains("serial 4") && !shown.contains("operator"), "{shown}");

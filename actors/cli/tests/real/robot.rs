@@ -28,6 +28,11 @@ fn the_program_of_a_robot_file_is_started_with_its_options_and_gives_its_status(
     let (output, text) = blastema(folder.path(), &["check", "a.xml", "--set", "rate=5Hz"]);
     // `env` has no command `check`, and says so.
     assert_eq!((output.status.code(), text.contains("check")), (Some(127), true), "{text}");
+    write(" program=\"../../usr/bin/${prog}\"><argument name=\"prog\"/");
+    for set in [&["check", "a.xml", "--set", "prog=env"][..], &["run", "a.xml", "--set=prog=env"]] {
+        let (output, text) = blastema(folder.path(), set);
+        assert_eq!(output.status.code(), Some(127), "{text}");
+    }
     write("");
     let (output, text) = blastema(folder.path(), &["run", "a.xml"]);
     assert_eq!(output.status.code(), Some(1), "{text}");

@@ -173,6 +173,8 @@ async fn a_wrong_addition_is_refused_and_leaves_no_trace() {
         (None, of("arm", strings.spec("left")).into(), "arm is taken by a component"),
         (None, of("group", strings.spec("group")).into(), "group is taken by a supervisor"),
         (None, of("chain/x", strings.spec("left")).into(), "reserved"),
+        (None, strings.spec("conditions/operator").into(), "reserved"),
+        (None, strings.spec("leases").into(), "reserved: the middleware's own are"),
         (None, of("group", strings.spec("left").rate_hz(-1.0)).into(), "rate_hz"),
         (None, spec("left", "arms").into(), "did you mean \"arm\"?"),
         (Some("rot"), strings.spec("left").into(), "no supervisor rot: did you mean `root`?"),
