@@ -189,8 +189,10 @@ async fn show(tree: &str) -> Result<(), Box<dyn Error>> {
         process.stdin(Stdio::piped());
         process.spawn()
     };
-    let (types, slow) =
-        (types(), Impairment { delay: Duration::from_millis(300), loss: 0.2, ..Impairment::NONE });
+    let (types, slow) = (
+        types(),
+        Impairment { delay: Duration::from_millis(300), loss: 0.2, ..Impairment::default() },
+    );
     let node = types.node(&types.load(&file, &set)?, "rover")?.with_faults(7).start().await?;
     let radio = node.cable("radio").ok_or("the network of the file")?;
     let show = Show { begun: Instant::now(), node };

@@ -19,7 +19,7 @@ use std::time::Duration;
 /// use blastema_core::medium::impairment::{FrameFate, Impairment};
 /// use blastema_core::random::Random;
 ///
-/// let dead = Impairment { loss: 1.0, ..Impairment::NONE };
+/// let dead = Impairment { loss: 1.0, ..Impairment::default() };
 /// assert_eq!(dead.fate(&mut Random::new(1)), FrameFate::Lost);
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -60,18 +60,6 @@ pub enum FrameFate {
 }
 
 impl Impairment {
-    /// A medium without a fault: what goes in comes out, at once and once.
-    pub const NONE: Impairment = Impairment {
-        loss: 0.0,
-        duplication: 0.0,
-        delay: Duration::ZERO,
-        jitter: Duration::ZERO,
-        reordering: 0.0,
-        corruption: 0.0,
-        rate: 0,
-        largest: 0,
-    };
-
     /// Decides whether one frame is lost, and how often and when it arrives.
     pub fn fate(&self, random: &mut Random) -> FrameFate {
         if random.chance(self.loss) {
@@ -141,7 +129,7 @@ const OVERTAKEN_AFTER: Duration = Duration::from_millis(10);
 /// use std::time::Duration;
 ///
 /// let mut medium = ImpairedDirection::<Bytes>::new(7, 100);
-/// medium.impair(Impairment { delay: Duration::from_millis(5), ..Impairment::NONE });
+/// medium.impair(Impairment { delay: Duration::from_millis(5), ..Impairment::default() });
 /// medium.handle_frame("hello".into(), Instant::ORIGIN);
 /// assert_eq!(medium.poll_output(), None);
 ///
@@ -194,7 +182,7 @@ impl<T: Impairable> ImpairedDirection<T> {
     /// A medium without a fault. At most `limit` frames are held back at one time.
     pub fn new(seed: u64, limit: usize) -> Self {
         ImpairedDirection {
-            impairment: Impairment::NONE,
+            impairment: Impairment::default(),
             cut: false,
             parted_from: BTreeSet::new(),
             random: Random::new(seed),
@@ -237,7 +225,7 @@ impl<T: Impairable> ImpairedDirection<T> {
     pub fn restore(&mut self) {
         self.cut = false;
         self.parted_from.clear();
-        self.impairment = Impairment::NONE;
+        self.impairment = Impairment::default();
         self.free_at = Instant::ORIGIN;
     }
 
@@ -359,7 +347,7 @@ mod tests {
         let mut random = Random::new(1);
 
         let once = FrameFate::Arrives { after: Duration::ZERO, again: None };
-        assert!((0..1000).all(|_| Impairment::NONE.fate(&mut random) == once));
+        assert!((0..1000).all(|_| Impairment::default().fate(&mut random) == once));
     }
 
     #[test]
@@ -369,7 +357,7 @@ mod tests {
             duplication: 0.2,
             delay: Duration::from_millis(5),
             jitter: Duration::from_millis(10),
-            ..Impairment::NONE
+            ..Impairment::default()
         };
         let fates = |seed| {
             let mut random = Random::new(seed);
@@ -425,7 +413,7 @@ mod tests {
     #[test]
     fn frames_held_back_equally_long_keep_their_order() {
         let mut medium = ImpairedDirection::new(1, 100);
-        medium.impair(Impairment { delay: MS(5), ..Impairment::NONE });
+        medium.impair(Impairment { delay: MS(5), ..Impairment::default() });
 
         (0..10).for_each(|n| medium.handle_frame(n.into(), Instant::ORIGIN));
         medium.handle_timeout(Instant::from_millis(4));
@@ -441,7 +429,7 @@ mod tests {
     #[test]
     fn a_cut_loses_what_is_under_way_and_what_comes_until_it_is_mended() {
         let mut medium = ImpairedDirection::new(1, 100);
-        medium.impair(Impairment { delay: MS(5), ..Impairment::NONE });
+        medium.impair(Impairment { delay: MS(5), ..Impairment::default() });
         medium.handle_frame(1.into(), Instant::ORIGIN);
 
         medium.cut();
@@ -459,7 +447,7 @@ mod tests {
     #[test]
     fn what_is_held_back_is_bounded() {
         let mut medium = ImpairedDirection::new(1, 10);
-        medium.impair(Impairment { delay: MS(5), duplication: 1.0, ..Impairment::NONE });
+        medium.impair(Impairment { delay: MS(5), duplication: 1.0, ..Impairment::default() });
 
         (0..100).for_each(|n| medium.handle_frame(n.into(), Instant::ORIGIN));
         medium.handle_timeout(Instant::from_millis(5));
@@ -471,7 +459,7 @@ mod tests {
     #[test]
     fn a_frame_that_is_larger_than_the_largest_is_lost() {
         let mut medium = ImpairedDirection::<Bytes>::new(1, 10);
-        medium.impair(Impairment { largest: 1_300, ..Impairment::NONE });
+        medium.impair(Impairment { largest: 1_300, ..Impairment::default() });
 
         for length in [1_301, 1_300, 0] {
             medium.handle_frame(vec![0; length].into(), Instant::ORIGIN);
@@ -485,7 +473,7 @@ mod tests {
     #[test]
     fn a_frame_that_is_overtaken_comes_after_the_next_and_if_none_comes_late() {
         let mut medium = ImpairedDirection::<Frame>::new(1, 100);
-        medium.impair(Impairment { reordering: 1.0, ..Impairment::NONE });
+        medium.impair(Impairment { reordering: 1.0, ..Impairment::default() });
 
         (0..5).for_each(|n| medium.handle_frame(n.into(), Instant::ORIGIN));
         assert_eq!(arrivals(&mut medium), [1, 0, 3, 2]);
@@ -499,7 +487,7 @@ mod tests {
     #[test]
     fn a_share_of_frames_is_overtaken_and_none_is_lost_or_doubled() {
         let mut medium = ImpairedDirection::<Frame>::new(1, 2000);
-        medium.impair(Impairment { reordering: 0.2, delay: MS(5), ..Impairment::NONE });
+        medium.impair(Impairment { reordering: 0.2, delay: MS(5), ..Impairment::default() });
 
         (0..1000).for_each(|n| medium.handle_frame(n.into(), Instant::ORIGIN));
         medium.handle_timeout(Instant::from_millis(20));
@@ -515,7 +503,7 @@ mod tests {
     #[test]
     fn a_spoilt_frame_differs_in_one_bit() {
         let mut medium = ImpairedDirection::<Frame>::new(1, 1000);
-        medium.impair(Impairment { corruption: 0.5, ..Impairment::NONE });
+        medium.impair(Impairment { corruption: 0.5, ..Impairment::default() });
 
         (0..1000).for_each(|_| medium.handle_frame(0.into(), Instant::ORIGIN));
         medium.handle_frame(Frame(Bytes::new(), 0), Instant::ORIGIN);
@@ -533,7 +521,7 @@ mod tests {
     fn a_rate_lets_frames_wait_for_each_other_and_no_more_of_them_than_the_limit() {
         let mut medium = ImpairedDirection::<Frame>::new(1, 10);
         // A frame of four bytes each millisecond.
-        medium.impair(Impairment { rate: 4_000, delay: MS(100), ..Impairment::NONE });
+        medium.impair(Impairment { rate: 4_000, delay: MS(100), ..Impairment::default() });
 
         (0..20).for_each(|n| medium.handle_frame(n.into(), Instant::ORIGIN));
         medium.handle_timeout(Instant::from_millis(100));
@@ -552,7 +540,7 @@ mod tests {
     #[test]
     fn a_partition_loses_what_goes_to_some_and_leaves_the_others() {
         let mut medium = ImpairedDirection::<Frame>::new(1, 100);
-        medium.impair(Impairment { delay: MS(5), ..Impairment::NONE });
+        medium.impair(Impairment { delay: MS(5), ..Impairment::default() });
         let frame = |n: u8| Frame(Bytes::copy_from_slice(&u32::from(n).to_be_bytes()), n);
 
         (0..4).for_each(|n| medium.handle_frame(frame(n), Instant::ORIGIN));

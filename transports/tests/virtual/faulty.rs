@@ -76,9 +76,9 @@ async fn a_good_cable_passes_everything_both_ways() {
 #[blastema_macros::test(crate = "blastema_doubles")]
 async fn each_direction_is_as_bad_as_told() {
     let bench = Bench::new(1).await;
-    let lossy = Impairment { loss: 1.0, ..Impairment::NONE };
+    let lossy = Impairment { loss: 1.0, ..Impairment::default() };
     bench.cable.do_send(Impair { direction: Direction::Outgoing, impairment: lossy });
-    let slow = Impairment { delay: MS(20), ..Impairment::NONE };
+    let slow = Impairment { delay: MS(20), ..Impairment::default() };
     bench.cable.do_send(Impair { direction: Direction::Incoming, impairment: slow });
 
     bench.transmit(0..10);
@@ -152,9 +152,9 @@ async fn a_cut_that_is_noticed_is_reported_and_so_is_its_end() {
 #[blastema_macros::test(crate = "blastema_doubles")]
 async fn frames_are_overtaken_and_spoilt_in_the_direction_that_is_told() {
     let bench = Bench::new(1).await;
-    let restless = Impairment { reordering: 1.0, ..Impairment::NONE };
+    let restless = Impairment { reordering: 1.0, ..Impairment::default() };
     bench.cable.do_send(Impair { direction: Direction::Outgoing, impairment: restless });
-    let noisy = Impairment { corruption: 1.0, ..Impairment::NONE };
+    let noisy = Impairment { corruption: 1.0, ..Impairment::default() };
     bench.cable.do_send(Impair { direction: Direction::Incoming, impairment: noisy });
 
     bench.transmit(0..5);
@@ -172,7 +172,7 @@ async fn frames_are_overtaken_and_spoilt_in_the_direction_that_is_told() {
 #[blastema_macros::test(crate = "blastema_doubles")]
 async fn a_slow_cable_passes_so_many_bytes_a_second() {
     let bench = Bench::new(1).await;
-    let slow = Impairment { rate: 100, ..Impairment::NONE };
+    let slow = Impairment { rate: 100, ..Impairment::default() };
     bench.cable.do_send(Impair { direction: Direction::Outgoing, impairment: slow });
 
     bench.transmit(0..10);
@@ -271,7 +271,7 @@ fn one_seed_gives_one_run() {
                 duplication: 0.2,
                 delay: MS(5),
                 jitter: MS(20),
-                ..Impairment::NONE
+                ..Impairment::default()
             };
             bench.cable.do_send(Impair { direction: Direction::Both, impairment: bad });
             bench.transmit(0..200);

@@ -10,7 +10,7 @@ const BOTH_ENDS: [&str; 2] = ["ethernet/left", "ethernet/right"];
 
 /// From now on the path drops larger frames.
 fn drop_above(robot: &Robot, largest: usize) {
-    let impairment = Impairment { largest, ..Impairment::NONE };
+    let impairment = Impairment { largest, ..Impairment::default() };
     for end in BOTH_ENDS {
         robot.cable(end).do_send(Impair { direction: Direction::Outgoing, impairment });
     }

@@ -143,7 +143,7 @@ async fn heartbeats_at_ten_hertz_outlast_thirty_percent_loss() {
     let condition = robot.condition("operator", Connected::heartbeat(BEAT).timeout(3 * SECOND));
     condition.connected().await;
     let record = recorded(&condition);
-    robot.impair(Direction::Both, Impairment { loss: 0.3, ..Impairment::NONE });
+    robot.impair(Direction::Both, Impairment { loss: 0.3, ..Impairment::default() });
 
     // The machine alone judges an hour in each run.
     let long = std::env::var_os("BLASTEMA_LONG").is_some();
@@ -264,7 +264,7 @@ async fn a_slow_and_lossy_radio_degrades_the_connection_once_and_restores_it_onc
     assert_eq!(conditions.map(Condition::state), [Well; 3], "{conditions:?}");
     let records = conditions.map(recorded);
 
-    let slow = Impairment { delay: 300 * MS, jitter: 40 * MS, ..Impairment::NONE };
+    let slow = Impairment { delay: 300 * MS, jitter: 40 * MS, ..Impairment::default() };
     robot.impair(Direction::Both, slow);
     robot.after(60 * SECOND).await;
     assert_eq!(records.each_ref().map(states), [vec![Degraded], vec![], vec![Degraded]]);
@@ -278,7 +278,7 @@ async fn a_slow_and_lossy_radio_degrades_the_connection_once_and_restores_it_onc
         records.each_ref().map(states),
         [vec![Degraded, Well], vec![], vec![Degraded, Well]]
     );
-    robot.impair(Direction::Both, Impairment { loss: 0.3, ..Impairment::NONE });
+    robot.impair(Direction::Both, Impairment { loss: 0.3, ..Impairment::default() });
     robot.after(120 * SECOND).await;
     assert_eq!(states(&records[1]), [Degraded], "{}", loss.status().cause);
     robot.restore();
@@ -306,7 +306,7 @@ async fn a_latency_is_bounded_without_common_clocks_and_exact_with_them() {
     let robot = Robot::start().await;
     let _beats = robot.beat();
     // The way to the operator is short: half a round trip is less than what a heartbeat takes.
-    robot.impair(Direction::Incoming, Impairment { delay: 200 * MS, ..Impairment::NONE });
+    robot.impair(Direction::Incoming, Impairment { delay: 200 * MS, ..Impairment::default() });
     let beat = |limit| Connected::heartbeat(BEAT).max_latency(limit);
     robot.condition("listens", beat(SECOND));
     // By then no heartbeat is compared with those that came before.
@@ -382,7 +382,7 @@ async fn a_commander_has_as_long_to_come_as_others_and_is_no_policy() {
 async fn two_senders_of_one_topic_lose_nothing_and_one_that_leaves_stays_as_slow() {
     let robot = Robot::start().await;
     let (first, second) = (robot.beat(), robot.beat());
-    robot.impair(Direction::Incoming, Impairment { delay: 200 * MS, ..Impairment::NONE });
+    robot.impair(Direction::Incoming, Impairment { delay: 200 * MS, ..Impairment::default() });
     let beat = || Connected::heartbeat(BEAT).timeout(10 * SECOND);
     let loss = robot.condition("loss", beat().max_loss(0.05));
     let latency = robot.condition("latency", beat().max_latency(150 * MS));
