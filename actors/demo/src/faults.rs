@@ -221,8 +221,8 @@ impl DemoFault {
         report.recovered || !matches!(report.location, FaultLocation::Object(_))
     }
 
-    /// Returns whether this fault, found before the injection and not ended, may be the only one:
-    /// an overload that stands is not found again.
+    /// Returns whether this fault, found before the injection and not ended, may be the only one: an
+    /// overload that stands is not found again.
     pub(crate) fn may_stand_before(&self, report: &FaultReport) -> bool {
         report.kind == FaultKind::Overload && self.judge(report) == FaultMatch::Named
     }

@@ -98,19 +98,9 @@ pub(crate) struct FaultReport {
 }
 
 impl FaultReport {
-    /// Returns whether it is a warning: on a busy machine hellos arrive late, rounds are missed, and a
-    /// process may not run at all for a while, which is not a fault of the robot.
+    /// Returns whether it is a warning: on a busy machine hellos arrive late and rounds are missed,
+    /// which is not a fault of the robot.
     pub(crate) fn is_warning(&self) -> bool {
-        self.is_of_computer() || self.kind == FaultKind::LinkDegraded
-    }
-
-    /// Returns whether it states that the computer had no time for an object or a node.
-    pub(crate) fn is_of_computer(&self) -> bool {
-        matches!(self.kind, FaultKind::Overload | FaultKind::NodePaused)
-    }
-
-    /// Returns whether it states that a node cannot be reached, or what follows from that.
-    pub(crate) fn is_of_network(&self) -> bool {
-        matches!(self.kind, FaultKind::LinkDown | FaultKind::NodeLost | FaultKind::ConnectionLost)
+        matches!(self.kind, FaultKind::LinkDegraded | FaultKind::Overload)
     }
 }

@@ -25,8 +25,7 @@ pub(crate) struct Report {
     pub(crate) messages: FlowLosses,
     /// How many of them have arrived from and at the modules' last processes.
     pub(crate) received: u64,
-    /// Overloads, and pauses of nodes, that were found where none was injected: the computer was too
-    /// busy for the robot.
+    /// Overloads that were found where none was injected: the computer was too busy for the robot.
     pub(crate) overloads: u64,
     /// Response times between modules, and delivery times of events within one.
     pub(crate) latencies: Vec<LatencyRow>,

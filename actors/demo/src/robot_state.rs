@@ -4,7 +4,7 @@
 use crate::flow_account::{FlowAccount, FlowLosses};
 use crate::messages::{FaultReport, ModuleReport};
 use crate::robot::{CABLES, DemoCable, FLOWS, Module};
-use blastema::{FaultId, FaultKind, Instant};
+use blastema::{FaultId, Instant};
 use std::collections::BTreeMap;
 
 /// The state of the robot.
@@ -86,13 +86,6 @@ impl RobotState {
         self.modules.entry(module).or_default().is_ready = false;
     }
 
-    /// Returns whether a module has reported, while this fault was tried or before the next one, that
-    /// it did not run for a while: the others lose it then, rightly.
-    pub(crate) fn has_paused(&self, number: u32) -> bool {
-        let is_pause = |found: &FoundFault| found.report.kind == FaultKind::NodePaused;
-        self.found.values().any(|found| found.during.0 == number && is_pause(found))
-    }
-
     /// From now on flows are unsettled until all that was sent up to now has arrived.
     pub(crate) fn settle(&mut self, now: Instant) {
         self.flows.iter_mut().for_each(|flow| flow.settle(now.as_nanos()));
@@ -167,7 +160,7 @@ pub(crate) mod fake {
 
     use super::*;
     use crate::messages::{SinkReport, SourceReport};
-    use blastema::FaultLocation;
+    use blastema::{FaultKind, FaultLocation};
 
     /// The numbers of messages that were sent and received on each flow.
     pub(crate) fn report(module: Module, at_ms: u64, sent: u64) -> ModuleReport {
@@ -225,7 +218,7 @@ pub(crate) mod fake {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use blastema::{FaultLocation, NodeName};
+    use blastema::{FaultKind, FaultLocation, NodeName};
 
     #[test]
     fn a_robot_is_together_when_modules_cables_and_flows_are() {

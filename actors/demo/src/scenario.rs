@@ -9,7 +9,7 @@ use crate::report::{FaultRow, Report, counted, latencies};
 use crate::robot::Module;
 use crate::robot_state::{FoundFault, FoundKey, RobotState};
 use crate::trial::FaultTrial;
-use blastema::{FaultLocation, Instant};
+use blastema::{FaultKind, FaultLocation, Instant};
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -216,13 +216,13 @@ impl Scenario {
         report.with_notes()
     }
 
-    /// Returns whether a fault is an overload, or a pause of a node, that was not injected.
+    /// Returns whether a fault is an overload that was not injected.
     fn is_overload(&self, found: &FoundFault) -> bool {
         let FoundFault { report, during: (number, _), .. } = found;
         let is_of_object = matches!(report.location, FaultLocation::Object(_));
         let near = [number.checked_sub(1), number.checked_sub(2)].into_iter().flatten();
         let mut near = near.map(|at| FAULTS[at as usize].judge(report));
-        report.is_of_computer()
+        report.kind == FaultKind::Overload
             && report.symptom_of.is_none()
             && !(is_of_object && near.any(|near| near == FaultMatch::Named))
     }
@@ -248,8 +248,7 @@ impl Scenario {
                     && !matches!(self.scene, Scene::Assembling)
             }
         };
-        let is_of_pause = report.is_of_network() && self.robot.has_paused(*number);
-        (is_foreign && !is_tried && !is_of_pause).then(|| {
+        (is_foreign && !is_tried).then(|| {
             format!("{} named {kind} in {location}, where no fault was injected: {detail}", key.0)
         })
     }

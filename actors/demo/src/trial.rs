@@ -192,9 +192,7 @@ impl FaultTrial {
             problems.extend(found.given_up(key));
             let belated = previous.map_or(FaultMatch::Foreign, |before| before.judge(report));
             match (self.fault.judge(report), belated) {
-                (FaultMatch::Foreign, FaultMatch::Foreign)
-                    if !(report.is_of_network() && robot.has_paused(self.number)) =>
-                {
+                (FaultMatch::Foreign, FaultMatch::Foreign) => {
                     let (kind, place) = (&report.kind, &report.location);
                     problems.push(format!("{} named {kind} in {place}: {}", key.0, report.detail));
                 }

@@ -5,7 +5,6 @@ use crate::faults::{Blow, DemoFault};
 use crate::flow_account::FlowLosses;
 use crate::messages::{SinkReport, Strike};
 use crate::robot_state::fake;
-use blastema::FaultKind;
 use blastema::core::{NodeName, ObjectAddress, ObjectName};
 
 /// The promise that the simulated robot breaks.
@@ -31,8 +30,6 @@ enum Flaw {
     ReturnsLate,
     /// The computer is too busy: no flaw.
     MissesRounds,
-    /// A module does not run for a while, and the others lose it: no flaw.
-    Pauses,
     /// An overload of the computer stands, and the fault is found as no other: no flaw.
     HasNoTime,
 }
@@ -130,12 +127,6 @@ fn run(flaw: Flaw, title: &str) -> Report {
                     Flaw::ReturnsEarly | Flaw::ReturnsLate if is_now => returned += 5,
                     Flaw::WrongCulprit if is_now => {
                         found.push(another(FaultKind::Hang, object(Module::Module2, "operator")));
-                    }
-                    Flaw::Pauses if is_now => {
-                        let of = |module| FaultLocation::Node(node(module));
-                        found.push(another(FaultKind::NodeLost, of(Module::Module3)));
-                        let paused = fake::fault(200, FaultKind::NodePaused, of(Module::Module1));
-                        found.push(paused);
                     }
                     Flaw::HasNoTime if number == 0 => {
                         let computer = FaultLocation::Node(node(Module::Module2));
@@ -242,14 +233,6 @@ fn overloads_of_a_busy_computer_are_told_and_break_no_promise() {
 
     assert!(report.promises_kept, "{:?} {:?}", report.rows, report.problems);
     assert_eq!((report.overloads, run(Flaw::None, "").overloads), (10, 0));
-}
-
-#[test]
-fn a_module_that_the_computer_does_not_run_is_told_and_breaks_no_promise() {
-    let report = run(Flaw::Pauses, "panic");
-
-    assert!(report.promises_kept, "{:?} {:?}", report.rows, report.problems);
-    assert_eq!(report.overloads, 1);
 }
 
 #[test]

@@ -97,8 +97,8 @@ impl ComponentRecord {
         Some(self.says(reading, Finding::Silent { age: silent_for }))
     }
 
-    /// Its thread has turned as often as it does within this limit on a processor of its own, and
-    /// it awaits nothing: it had time for a sign of life, however seldom the thread was run.
+    /// Its thread has turned as often as it does within this limit on a processor of its own, and it
+    /// awaits nothing: it had time for a sign of life, however seldom the thread was run.
     fn had_time(&self, limit: Duration) -> bool {
         let beats = u32::try_from(self.beat.saturating_sub(self.awaited.beat)).unwrap_or(u32::MAX);
         self.reading.is_some_and(|reading| reading.turn.is_multiple_of(2))
