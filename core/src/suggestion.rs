@@ -12,25 +12,11 @@
 pub fn nearest<'a>(wrong: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let (distance, word) = known
         .into_iter()
-        .map(|word| (edits(wrong, word), word))
+        .map(|word| (strsim::levenshtein(wrong, word), word))
         .min_by_key(|&(distance, _)| distance)?;
     // More than a third of the letters differ: that is another word, not a slip; and where nothing
     // is written, nothing is misspelt.
     (!wrong.is_empty() && distance <= 1 + wrong.len() / 3).then_some(word)
-}
-
-/// How many letters must be changed, added or removed (Levenshtein).
-fn edits(a: &str, b: &str) -> usize {
-    let mut row: Vec<usize> = (0..=b.chars().count()).collect();
-    for (i, x) in a.chars().enumerate() {
-        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
-        for (j, y) in b.chars().enumerate() {
-            let substituted = diagonal + usize::from(x != y);
-            diagonal = row[j + 1];
-            row[j + 1] = substituted.min(row[j] + 1).min(diagonal + 1);
-        }
-    }
-    row[b.chars().count()]
 }
 
 #[cfg(test)]

@@ -412,7 +412,7 @@ pub(crate) struct NodeOrderOptions {
     pub(crate) via: NodeAddress,
     #[command(flatten)]
     pub(crate) operator: OperatorOptions,
-    /// Why, for the journals: 160 bytes of it are kept
+    /// Why, for the journals: 160 characters of it are kept
     #[arg(long, value_name = "TEXT", default_value = "")]
     pub(crate) reason: String,
 }

@@ -210,8 +210,11 @@ impl FaultTrial {
             problems
                 .push(format!("{returned} became dead letters, though a path was there in time"));
         }
-        let named = self.root(robot).map(|(_, found)| &found.report);
-        let found_at = named.map(|report| Instant::from_nanos(report.found_at));
+        let root = self.root(robot).map(|(_, found)| found);
+        let named = root.map(|found| &found.report);
+        // One that stood before was not found by the injection.
+        let found_at = root.filter(|found| self.is_new(found));
+        let found_at = found_at.map(|found| Instant::from_nanos(found.report.found_at));
         let struck = self.struck.map(|[first, _]| first);
         let since = |start: Option<Instant>, end: Option<Instant>| Some(end? - start?);
         FaultRow {

@@ -9,6 +9,8 @@ use std::ffi::OsString;
 use std::io::{self, Write};
 use std::pin::pin;
 use std::process::{ExitStatus, Stdio};
+use std::sync::atomic::AtomicU64;
+use std::sync::atomic::Ordering::Relaxed;
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread;
 use std::time::Duration;
@@ -33,8 +35,9 @@ const STOP_WITHIN: Duration = Duration::from_secs(30);
 /// Between two signals to a node that is to end at once: longer than it takes to see one.
 const SIGNAL_INTERVAL: Duration = Duration::from_millis(50);
 
-/// Lines that wait for the reader of the output. Further ones are not printed.
+/// Lines that wait for the reader of the output. Further ones are left out, and counted.
 const LINES_WAITING: usize = 1_024;
+static LEFT_OUT: AtomicU64 = AtomicU64::new(0);
 /// How long the end of the launcher waits for that reader.
 const PRINTED_WITHIN: Duration = Duration::from_secs(1);
 
@@ -230,8 +233,10 @@ fn print_lines(
 }
 
 fn print_line(lines: &SyncSender<String>, name: &str, line: &str) {
-    // Where the reader of the output stands still, what is too much for the queue is not printed.
-    let _ = lines.try_send(format!("[{name}] {line}"));
+    // Where the reader of the output stands still, what is too much for the queue is left out.
+    if lines.try_send(format!("[{name}] {line}")).is_err() {
+        LEFT_OUT.fetch_add(1, Relaxed);
+    }
 }
 
 /// Prints lines on a thread of its own: a reader that stands still, such as a paused terminal, keeps
@@ -243,6 +248,10 @@ fn start_printer() -> io::Result<(SyncSender<String>, oneshot::Receiver<()>)> {
         for line in waiting {
             // A reader of the output that has gone is no fault of the robot.
             let _ = writeln!(io::stdout().lock(), "{line}");
+            let count = LEFT_OUT.swap(0, Relaxed);
+            if count > 0 {
+                let _ = writeln!(io::stdout().lock(), "[robot] {count} lines were left out");
+            }
         }
         drop(printing);
     })?;

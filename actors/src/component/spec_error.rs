@@ -189,7 +189,7 @@ pub(crate) fn did_you_mean(nearest: Option<&ObjectName>) -> String {
 
 /// The names of the middleware's own objects; of those that end in a slash, the beginnings.
 const RESERVED: &str = "beacons/, cable/, chain/, conditions, conditions/, controller, inspection, \
-    leases, net/, safe-outputs, transport/, variables";
+    leases, net/, safe-outputs, transport/, variables, variables/";
 
 impl SpecError {
     /// Takes a name for an object of the application.

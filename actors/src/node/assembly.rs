@@ -43,7 +43,7 @@ use crate::service::Roster;
 use crate::topic::Topics;
 #[cfg(feature = "trees")]
 use crate::trees::TreeTable;
-use crate::variable::{KEPT_VARIABLES, VariableStore};
+use crate::variable::{KEPT_VARIABLES, RESTORED_VARIABLES, VariableStore};
 use actix::prelude::*;
 use blastema_contract::monitor::Register;
 use blastema_contract::reports::AreYouAlive;
@@ -348,7 +348,8 @@ impl NodeAssembly {
         self.node.held.push(path.clone());
         let kept = self.node.environment.feature::<VariableStore>().keep_in(path, lock, changed);
         kept.map_err(|error| StartError::of_path("keep_variables", &file, error.to_string()))?;
-        self.keep(named(KEPT_VARIABLES), None)
+        self.keep(named(KEPT_VARIABLES), None)?;
+        self.keep(named(RESTORED_VARIABLES), None)
     }
 
     fn read_parameters(&self, configurations: Vec<Configuration>) -> Result<(), StartError> {

@@ -96,7 +96,7 @@ impl Shared {
 }
 
 impl PersistenceFile {
-    /// The lock is `None` where the file's folder cannot be written, which is told already.
+    /// The lock is `None` where the file's folder cannot be written, which is told already, and lasts.
     /// `changed` is told when the file cannot be written, and when it can be again.
     pub(super) fn start(
         path: PathBuf,
@@ -107,7 +107,7 @@ impl PersistenceFile {
             Arc::new(Shared { order: Mutex::new(Order::default()), changed: Condvar::new() });
         let kept = shared.clone();
         platform::start_thread("variables", move || {
-            write_when_told(&path, &kept, lock.is_none(), changed);
+            write_when_told(&path, &kept, lock.is_some(), changed);
             drop(lock);
         })?;
         Ok(PersistenceFile(shared))
@@ -147,9 +147,10 @@ impl Drop for PersistenceFile {
 fn write_when_told(
     path: &Path,
     shared: &Shared,
-    mut failing: bool,
+    locked: bool,
     changed: impl Fn(Result<(), String>),
 ) {
+    let mut failing = false;
     loop {
         let mut order = shared.lock();
         while order.values.is_none() && !order.ended {
@@ -159,7 +160,7 @@ fn write_when_told(
         let waiting = std::mem::take(&mut order.waiting);
         drop(order);
         let saved = save(path, &values).map_err(|error| error.to_string());
-        if std::mem::replace(&mut failing, saved.is_err()) != failing {
+        if std::mem::replace(&mut failing, saved.is_err()) != failing && locked {
             let place = path.display();
             let told = saved.clone();
             changed(told.map_err(|why| format!("variables cannot be kept in {place}: {why}")));
@@ -212,7 +213,7 @@ mod tests {
         *shared.lock() = Order { values, waiting, ended: true };
         let told = Mutex::new(Vec::new());
 
-        write_when_told(&path, &shared, false, |written| lock(&told).push(written.is_ok()));
+        write_when_told(&path, &shared, true, |written| lock(&told).push(written.is_ok()));
 
         assert_eq!(*lock(&told), [false, true]);
         assert_eq!(load(&path).unwrap().len(), 2);

@@ -15,7 +15,9 @@ mod store;
 
 pub use blastema_core::variables::{RestorePolicy, ValueState};
 
-pub(crate) use store::{DeclaredVariable, KEPT_VARIABLES, VariableStore, declared};
+pub(crate) use store::{
+    DeclaredVariable, KEPT_VARIABLES, RESTORED_VARIABLES, VariableStore, declared,
+};
 
 use crate::messaging::sender::Sender;
 use crate::registry::Registry;

@@ -26,6 +26,8 @@ use std::time::Duration;
 
 /// Under which name the file of the variables is an object of its node.
 pub(crate) const KEPT_VARIABLES: &str = "variables";
+/// In which object it is a fault that values from before are not what they were.
+pub(crate) const RESTORED_VARIABLES: &str = "variables/restored";
 
 /// Says whether bytes are a value that the owner takes.
 type Check = Arc<dyn Fn(&[u8]) -> Result<(), DeliveryError> + Send + Sync>;
@@ -203,7 +205,7 @@ impl VariableStore {
     /// Reports what was wrong with the values that were to be restored.
     pub(crate) fn report_complaints(&self, reports: &FaultReports) {
         let complaints = std::mem::take(&mut self.lock().complaints);
-        complaints.into_iter().for_each(|detail| reports.declare(KEPT_VARIABLES, detail));
+        complaints.into_iter().for_each(|detail| reports.declare(RESTORED_VARIABLES, detail));
     }
 
     /// The object has these variables from now on; the port is where they are asked for.

@@ -171,6 +171,7 @@ impl Detector {
         match outcome {
             RecoveryOutcome::Decided { action } => self.decide(id, at, action),
             RecoveryOutcome::Failed { action, reason } => {
+                let reason = shortened(&reason).to_owned();
                 self.turn(id, at, FaultTransition::Failed { action, reason }, |_| ());
             }
             RecoveryOutcome::Recovered => {
@@ -178,7 +179,9 @@ impl Detector {
                 self.recover(id, at);
             }
             RecoveryOutcome::Waits => self.await_next_incarnation(id, at),
-            RecoveryOutcome::GaveUp { reason } => self.give_up(id, at, reason),
+            RecoveryOutcome::GaveUp { reason } => {
+                self.give_up(id, at, shortened(&reason).to_owned());
+            }
         }
     }
 

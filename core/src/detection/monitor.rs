@@ -215,6 +215,7 @@ impl Monitor {
         hold: Option<Duration>,
         now: Instant,
     ) {
+        let detail = shortened(&detail).to_owned();
         let (cause, key) = (NoteCause::Declared(kind.clone()), (object.clone(), kind.clone()));
         let is_held = self.holds.contains_key(&key);
         let Some(entry) = self.admit(object, incarnation) else { return };

@@ -210,9 +210,9 @@ impl Recoverer {
 
     /// Treats a fault. Where that opens no case, its symptoms are not kept waiting for one.
     fn treat(&mut self, fault: Fault, now: Instant) {
-        let id = fault.id;
+        let (id, is_ours) = (fault.id, self.is_ours(&fault));
         self.open_case(fault, now);
-        if !self.is_open(id) {
+        if is_ours && !self.is_open(id) {
             self.release_symptoms(&[id], now);
         }
     }

@@ -240,7 +240,9 @@ fn a_flood_on_a_computer_that_has_no_time_is_found_as_the_overload_that_stands()
     let report = run(Flaw::HasNoTime, "flood");
 
     assert!(report.promises_kept, "{:?} {:?}", report.rows, report.problems);
-    let named = report.rows.last().and_then(|row| row.named.as_ref()).expect("it was found");
+    let row = report.rows.last().expect("it was tried");
+    let named = row.named.as_ref().expect("it was found");
+    assert_eq!(row.detected_after, None, "it stood before");
     assert_eq!((&named.code[..], &named.location[..], report.overloads), ("B09", "module2", 1));
     let report = run(Flaw::HasNoTime, "hang");
     assert!(!report.promises_kept, "it is no other fault");

@@ -301,8 +301,9 @@ impl Node {
         let reason: String = reason.chars().take(REASON_MAX).collect();
         let because = if reason.is_empty() { "" } else { ": " };
         let cause = format!("by order of {by}{because}{reason}");
+        self.set_isolated(node, *isolated, cause.clone()).map_err(|error| error.to_string())?;
         warn!(target: "blastema::audit", node, isolated, operator = %by, "{cause}");
-        self.set_isolated(node, *isolated, cause).map_err(|error| error.to_string())
+        Ok(())
     }
 
     fn set_isolated(&self, node: &str, isolated: bool, cause: String) -> Result<(), IsolateError> {

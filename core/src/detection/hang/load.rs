@@ -51,6 +51,10 @@ impl Arbiter {
     }
 }
 
+/// So many times its limit a component may be silent on a thread that does not turn, while an
+/// overload of the computer may be why. More is the component's own, or its thread's.
+const STARVED: u32 = 5;
+
 impl ComponentRecord {
     /// Says so if it is silent. One that works meanwhile, or is kept from its thread, is late.
     pub(super) fn judge_silence(
@@ -86,7 +90,10 @@ impl ComponentRecord {
             }
         } else if around.stands(now) && silent_for < limit.max(self.judged.limits.max_block) {
             return None; // The operating system does not run the thread.
-        } else if around.is_overloaded && !had_time {
+        } else if around.is_overloaded
+            && !had_time
+            && silent_for < STARVED * limit.max(self.judged.limits.max_block)
+        {
             // For how long a thread has waited is known when it is run again.
             return None;
         }

@@ -3,8 +3,11 @@
 use super::{BusyThreads, LONG};
 use blastema::core::detection::FaultEntry;
 use blastema::prelude::*;
-use blastema::{FaultStatus, Incarnation};
-use blastema_tests::{burn, found};
+use blastema::{FaultStatus, Incarnation, VariableRef};
+use blastema_tests::{burn, found, until};
+use std::sync::Arc;
+use std::sync::atomic::AtomicU32;
+use std::sync::atomic::Ordering::SeqCst;
 use std::time::Duration;
 
 /// Answered with the incarnation that serves it.
@@ -81,4 +84,76 @@ fn a_group_whose_recoveries_all_work_never_ends_in_the_safe_state() {
             node.shutdown().await;
         });
     }
+}
+
+#[derive(Clone, Debug, PartialEq, Parameters)]
+#[contract(name = "arm/settings")]
+struct Settings {
+    #[parameter(default = 0)]
+    speed: u32,
+}
+
+/// Writes down with which speed it runs, and panics now and then.
+struct Tuned(Arc<AtomicU32>);
+
+impl Component for Tuned {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.parameters::<Settings>();
+        ports.accept::<Die>();
+    }
+
+    async fn on_initialize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        self.0.store(cx.parameters::<Settings>()?.speed, SeqCst);
+        burn(Duration::from_millis(2));
+        Ok(())
+    }
+}
+
+impl Handle<Settings> for Tuned {
+    async fn handle(&mut self, settings: Settings, _: &mut Context<Self>) {
+        burn(Duration::from_millis(1));
+        self.0.store(settings.speed, SeqCst);
+    }
+}
+
+impl Handle<Die> for Tuned {
+    async fn handle(&mut self, _: Die, _: &mut Context<Self>) {
+        panic!("struck");
+    }
+}
+
+#[test]
+fn a_component_and_its_variable_agree_on_the_parameters_that_were_set_last() {
+    let _turn = blastema_doubles::turn();
+    let _busy = BusyThreads::start();
+    blastema::run(async {
+        let runs_with = Arc::<AtomicU32>::default();
+        let kept = runs_with.clone();
+        let arm = ChildSpec::new("arm", move || Tuned(kept.clone())).queue(8, WhenFull::Refuse);
+        let node = Node::builder("module1")
+            .intensity(1000, Duration::from_secs(10))
+            .child(arm.on_own_thread())
+            .start()
+            .await
+            .unwrap();
+        let (settings, die) = (node.variable("arm").unwrap(), node.sender::<Die>("arm").unwrap());
+
+        for round in 0..32 {
+            // Where the queue is full, enough of them wait.
+            let _ = die.tell(Die);
+            let set = |speed| {
+                let settings: VariableRef<Settings> = settings.clone();
+                tokio::task::spawn_local(async move { settings.write(Settings { speed }).await })
+            };
+            let sets: Vec<_> = (0..20).map(|n| set(round * 20 + n)).collect();
+            for set in sets {
+                set.await.unwrap().expect("it is in the range");
+            }
+
+            let wanted = settings.read().await.unwrap().value.speed;
+            let agrees = async || runs_with.load(SeqCst) == wanted;
+            until(agrees, &format!("round {round}: it runs with {wanted}")).await;
+        }
+        node.shutdown().await;
+    });
 }

@@ -15,7 +15,7 @@ use crate::architecture::tree::{Breaches, Tree};
 const PLACES: &str = "
     macros |
     lite | |
-    core | macros | bincode bytes ring serde snow thiserror x25519-dalek zeroize
+    core | macros | bincode bytes ring serde snow strsim thiserror x25519-dalek zeroize
     trees | | roxmltree strsim thiserror
     contract core | | actix bytes
     transports core contract | doubles ptys macros

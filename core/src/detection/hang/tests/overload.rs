@@ -204,7 +204,7 @@ fn a_component_that_is_silent_though_its_thread_turns_is_so_of_itself_on_a_busy_
 }
 
 #[test]
-fn a_thread_that_is_not_run_at_all_on_an_overloaded_computer_makes_no_component_silent() {
+fn a_thread_that_is_not_run_on_an_overloaded_computer_makes_no_component_silent_for_a_while() {
     let mut road = Road::new(3, 4);
     road.processor = Some((1, 5));
     assert!(names(&road.pass(10_000))[0].starts_with("the computer overloads"));
