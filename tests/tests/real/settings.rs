@@ -126,12 +126,7 @@ fn names_are_given_once_also_those_of_supervisors_and_of_the_middleware() {
         let group = |name: &str| SupervisorSpec::new(name, Strategy::OneForOne);
         let same = "names are given once";
         refused(node().child(called("root")), &["root is taken by a supervisor", same]).await;
-        refused(
-            node().child(called("leases")),
-            &["leases is taken by an object of the middleware", same],
-        )
-        .await;
-        for reserved in ["net/directory", "net/stack", "chain/of/my/own"] {
+        for reserved in ["leases", "net/directory", "net/stack", "chain/of/my/own"] {
             let error = node().child(called(reserved)).start().await.unwrap_err();
             assert!(matches!(error, StartError::Spec(SpecError::Reserved { .. })), "{error}");
             let error = node().supervisor(group(reserved)).start().await.unwrap_err();
@@ -146,7 +141,7 @@ fn names_are_given_once_also_those_of_supervisors_and_of_the_middleware() {
         refused(node().supervisor(group("-a")), &["the name of a supervisor", "\"-a\""]).await;
 
         let node = node().child(lamp()).supervisor(group("a")).start().await.unwrap();
-        for name in ["root", "a", "leases", "lamp"] {
+        for name in ["root", "a", "lamp"] {
             let error = node.add_child(called(name)).await.expect_err(name);
             assert!(matches!(error, SpecError::Taken(_)), "{name}: {error}");
         }
