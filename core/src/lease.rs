@@ -225,11 +225,10 @@ enum State {
 /// Whether the component is at work, as far as its actuators know.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Work {
+    /// The component is at work.
     Goes,
     /// It leaves work, has left it, or was never at work. Whether how the actuator stops is still open.
-    Ends {
-        stops: bool,
-    },
+    Ends { stops: bool },
 }
 
 impl Lease {

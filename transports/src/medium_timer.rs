@@ -1,5 +1,6 @@
 //! A time that a medium waits for.
 
+#[cfg(any(all(feature = "can", target_os = "linux"), feature = "slcan", feature = "fault"))]
 use blastema_core::Instant;
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
@@ -9,6 +10,7 @@ use tokio::time::Sleep;
 /// A time that is waited for, or none.
 #[derive(Default)]
 pub(crate) struct MediumTimer {
+    #[cfg(any(all(feature = "can", target_os = "linux"), feature = "slcan", feature = "fault"))]
     due: Option<Instant>,
     sleep: Option<Pin<Box<Sleep>>>,
 }
@@ -16,7 +18,15 @@ pub(crate) struct MediumTimer {
 impl MediumTimer {
     /// Waits for so long from now on.
     pub(crate) fn after(span: Duration) -> Self {
-        MediumTimer { due: None, sleep: Some(Box::pin(tokio::time::sleep(span))) }
+        MediumTimer {
+            #[cfg(any(
+                all(feature = "can", target_os = "linux"),
+                feature = "slcan",
+                feature = "fault"
+            ))]
+            due: None,
+            sleep: Some(Box::pin(tokio::time::sleep(span))),
+        }
     }
 
     /// Ready when the time has come, and where none is waited for.

@@ -141,24 +141,25 @@ impl<'a> RobotElement<'a> {
     /// The children of this name, each of which has another value of the attribute `key`. One that
     /// has the value of another is a mistake, and is not read.
     pub(crate) fn distinct(&self, name: &'static str, key: &'static str) -> Vec<RobotElement<'a>> {
-        let (mut children, mut known) = (self.children(name), BTreeMap::new());
-        children.retain(|child| {
-            let Some(attribute) = child.node.attribute_node(key) else { return true };
-            let range = attribute.range_value();
-            let Some(value) = child.substituted(attribute.value(), range.clone()) else {
-                return true;
+        let (mut distinct, mut known) = (Vec::new(), BTreeMap::new());
+        for child in self.children(name) {
+            let attribute = child.node.attribute_node(key);
+            let value = attribute.and_then(|it| child.substituted(it.value(), it.range_value()));
+            let (Some(attribute), Some(value)) = (attribute, value) else {
+                distinct.push(child);
+                continue;
             };
-            let of = self.name();
+            let (of, range) = (self.name(), attribute.range_value());
             let sentence = format!("`{of}` has two elements `{name}` whose `{key}` is `{value}`");
             let first = known.entry(value).or_insert_with(|| range.clone());
-            let is_first = *first == range;
-            if !is_first {
+            if *first == range {
+                distinct.push(child);
+            } else {
                 self.twice(sentence, [first.clone(), range]);
                 child.leave();
             }
-            is_first
-        });
-        children
+        }
+        distinct
     }
 
     fn twice(&self, sentence: String, [first, again]: [Range<usize>; 2]) {

@@ -8,11 +8,10 @@
 
 mod command;
 mod ports;
-mod settings;
+pub(crate) mod settings;
 pub(crate) mod table;
 
 pub use settings::ActuatorSettings;
-pub(crate) use settings::message_of;
 pub use table::ActuatorRow;
 pub(crate) use table::{ActuatorKey, ActuatorTable, DeclaredActuator};
 

@@ -207,6 +207,7 @@ impl SpecError {
     }
 }
 
-fn in_file(file: Option<&PathBuf>) -> String {
+/// Returns the words that name the file of parameters, where they have one.
+pub(crate) fn in_file(file: Option<&PathBuf>) -> String {
     file.map(|file| format!(" in {}", file.display())).unwrap_or_default()
 }

@@ -82,17 +82,18 @@ impl ConnectedChannel {
     /// channel that this node cannot have.
     pub(super) fn tap(
         &self,
-        node: (&Topics, &Registry),
+        topics: &Topics,
+        registry: &Registry,
         listener: &ObjectName,
         measured: Arc<Mutex<TopicEstimator>>,
     ) -> Result<Option<Box<dyn Any + Send>>, String> {
         match self {
             ConnectedChannel::Topic(topic, events) => {
-                let tapped = (events.listen)(node.0, topic, listener, measured);
+                let tapped = (events.listen)(topics, topic, listener, measured);
                 tapped.map(Some).map_err(|why| why.to_string())
             }
             ConnectedChannel::Node(name) | ConnectedChannel::Session(name)
-                if node.1.elsewhere(name.clone()).is_none() =>
+                if registry.elsewhere(name.clone()).is_none() =>
             {
                 Err(format!("{self}, which is this node: name another one"))
             }
@@ -113,8 +114,7 @@ impl ChannelSource {
             wiring.check_link(link)?;
         }
         let measured = Arc::<Mutex<TopicEstimator>>::default();
-        let node = (&wiring.topics, &wiring.registry);
-        let tapped = channel.tap(node, listener, measured.clone())?;
+        let tapped = channel.tap(&wiring.topics, &wiring.registry, listener, measured.clone())?;
         Ok(ChannelSource {
             spec: spec.clone(),
             channel: channel.clone(),
@@ -239,10 +239,11 @@ impl NetworkSource {
         if nodes.is_empty() {
             return Some(self.trip.unwrap_or_default());
         }
-        let mut trips = nodes.iter().map(|node| shared.round_trips.to(node, &wiring.registry, now));
-        let slowest = trips.try_fold(Duration::ZERO, |slowest, trips| {
-            trips.fastest().map(|fastest| slowest.max(fastest))
-        });
+        let mut slowest = Some(Duration::ZERO);
+        for node in &nodes {
+            let fastest = shared.round_trips.to(node, &wiring.registry, now).fastest();
+            slowest = slowest.zip(fastest).map(|(slowest, fastest)| slowest.max(fastest));
+        }
         self.trip = slowest.or(self.trip);
         slowest
     }

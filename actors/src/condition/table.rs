@@ -275,10 +275,10 @@ impl Connected {
         condition: &str,
         environment: &ComponentEnvironment,
     ) -> Result<(), ConditionError> {
-        let node = (environment.feature::<Topics>(), &environment.registry);
+        let topics = environment.feature::<Topics>();
         let object = object_of(condition)?;
         let tap = &mut |_: &_, channel: &ConnectedChannel| {
-            channel.tap(node, &object, Arc::default()).map(drop)
+            channel.tap(topics, &environment.registry, &object, Arc::default()).map(drop)
         };
         self.try_map(condition, tap).map(drop)
     }

@@ -422,8 +422,8 @@ impl LineService {
             if let Some((object, code)) = client.unsent.take() {
                 let asked = host.handle_command(DeviceCommand::Text(object, code));
                 client.in_flight = asked.is_ok().then_some(InFlight::Text(object, code));
-            } else if let Some((order, give)) = client.link.next_order() {
-                client.begin(host, (order, give));
+            } else if let Some(pending) = client.link.next_order() {
+                client.begin(host, pending);
             }
         }
     }
@@ -436,7 +436,8 @@ impl LineService {
 }
 
 impl Client {
-    fn begin(&mut self, host: &mut Host<Vec<Port>>, (order, give): PendingOrder) {
+    fn begin(&mut self, host: &mut Host<Vec<Port>>, pending: PendingOrder) {
+        let (order, give) = pending;
         match order.give(host) {
             Ok(()) => self.in_flight = Some(InFlight::Order(give)),
             Err(CommandError::Busy | CommandError::NotServing) => {

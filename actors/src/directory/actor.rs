@@ -63,7 +63,7 @@ pub(crate) struct DirectoryActor {
     own: SortedMap<ObjectName, Own>,
     /// Claims of components that the roster refuses: made again when there is another.
     forbidden: SortedMap<ObjectName, Own>,
-    complaints: RefusalAlarms<NodeName>,
+    alarms: RefusalAlarms<NodeName>,
     faults: FaultReporter,
     /// Who goes without a name, and what was said of that last.
     without: UnmetClaims,
@@ -101,7 +101,7 @@ impl DirectoryActor {
             wake: WakeTimer::default(),
             own: SortedMap::new(),
             forbidden: SortedMap::new(),
-            complaints: RefusalAlarms::default(),
+            alarms: RefusalAlarms::default(),
             faults: FaultReporter::new(crate::net::named("directory"), setup.reports.clone()),
             without: UnmetClaims::default(),
             reported_conflict: None,
@@ -220,10 +220,10 @@ impl DirectoryActor {
 
     /// Raises an alarm for a node whose messages are refused for seconds.
     fn look_at_refusals(&mut self) {
-        let complaints = &mut self.complaints;
+        let alarms = &mut self.alarms;
         let alarms = self.setup.names.read(|machine| {
             let refusals = machine.refusals().map(|(node, refusals)| (node.clone(), refusals));
-            complaints.handle_look(refusals)
+            alarms.handle_look(refusals)
         });
         for (node, since) in alarms {
             let detail = format!("what {node} says that it has is refused all the time: {since}");

@@ -77,13 +77,14 @@ impl DetectionActor {
     ) {
         if pings.connected() {
             let answer = Box::pin(pings.send(AreYouAlive));
-            self.await_answer((object, pings), answer, 0, context);
+            self.await_answer(object, pings, answer, 0, context);
         }
     }
 
     fn await_answer(
         &mut self,
-        asked: (ObjectName, Recipient<AreYouAlive>),
+        object: ObjectName,
+        pings: Recipient<AreYouAlive>,
         mut answer: Pin<Box<RecipientRequest<AreYouAlive>>>,
         // In late intervals.
         waited: u32,
@@ -92,16 +93,16 @@ impl DetectionActor {
         let asked_at = platform::now();
         let wait = async move { (timeout(PING_INTERVAL, &mut answer).await, answer) };
         let settle = move |(answered, answer), chain: &mut Self, context: &mut Context<Self>| {
-            let (now, (object, _)) = (platform::now(), &asked);
+            let now = platform::now();
             match answered {
                 Ok(answered) => {
                     // The answer of an actor that was restarted meanwhile is lost.
                     if let Ok(Alive { incarnation, state }) = answered {
                         let progress = WorkProgress { incarnation, state };
-                        chain.machine.monitor.handle_alive(object, progress, now);
+                        chain.machine.monitor.handle_alive(&object, progress, now);
                     }
                     context.run_later(PING_INTERVAL, |chain, context| {
-                        chain.ask(asked.0, asked.1, context);
+                        chain.ask(object, pings, context);
                     });
                 }
                 Err(_) => {
@@ -110,9 +111,9 @@ impl DetectionActor {
                     let limit = SILENT_AFTER * LATE_INTERVALS;
                     if waited < limit && after >= limit {
                         let age = SILENT_AFTER * PING_INTERVAL;
-                        chain.machine.monitor.handle_unanswered(object, age, now);
+                        chain.machine.monitor.handle_unanswered(&object, age, now);
                     }
-                    chain.await_answer(asked, answer, after, context);
+                    chain.await_answer(object, pings, answer, after, context);
                 }
             }
             chain.drive(context);

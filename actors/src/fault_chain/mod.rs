@@ -12,7 +12,6 @@
 //! whether the chain answers. So the chain needs no other thread to go to.
 
 pub(crate) mod detection;
-pub(crate) mod directory;
 pub(crate) mod log;
 pub(crate) mod outside;
 pub(crate) mod recoverer;

@@ -1,9 +1,9 @@
 //! The supervisor's actor: it holds the children and carries out what its machine decides.
 
+pub(crate) mod directory;
 mod requests;
 mod tree;
 
-use super::directory::{SupervisorDirectory, SupervisorRecipients};
 use crate::messaging::death_watch::{Deaths, DownReason};
 use crate::platform;
 use crate::registry::ReservedName;
@@ -21,6 +21,7 @@ use blastema_core::recovery::{
 };
 use blastema_core::sorted::SortedMap;
 use blastema_core::{FaultKind, Incarnation, Instant, Lifecycle, ObjectName};
+use directory::SupervisorDirectory;
 use std::sync::Arc;
 use tokio::sync::oneshot;
 use tracing::{error, info, warn};
@@ -201,12 +202,8 @@ impl SupervisorActor {
         }
     }
 
-    fn child(&mut self, name: &ObjectName) -> Option<&mut Box<dyn Child>> {
-        self.children.get_mut(name)
-    }
-
     fn with(&mut self, name: &ObjectName, then: impl FnOnce(&mut dyn Child)) {
-        if let Some(child) = self.child(name) {
+        if let Some(child) = self.children.get_mut(name) {
             then(&mut **child);
         }
     }
@@ -224,7 +221,7 @@ impl MachineActor for SupervisorActor {
             SupervisorOutput::Start { child, incarnation } => {
                 let report = || Arc::new(context.address().recipient());
                 let report = self.reports.get_or_insert_with(report).clone();
-                if let Some(started) = self.child(&child) {
+                if let Some(started) = self.children.get_mut(&child) {
                     let begun = started.start(incarnation, report);
                     self.machine.handle_begun(&child, begun);
                 }
@@ -233,7 +230,7 @@ impl MachineActor for SupervisorActor {
                 if let ChildOrder::Stop { again } = &mut order {
                     *again |= self.again;
                 }
-                let Some(child) = self.child(&name) else { return };
+                let Some(child) = self.children.get_mut(&name) else { return };
                 child.order(order);
                 if let ChildOrder::Isolate(isolated) = order {
                     self.neighbours.isolation.do_send(IsolationReported { object: name, isolated });
@@ -252,7 +249,7 @@ impl MachineActor for SupervisorActor {
             SupervisorOutput::Refused { child, incarnation, reason } => {
                 self.declare(child.clone(), incarnation, FaultKind::UnexpectedExit, reason);
                 // What waits below for its next incarnation waits in vain.
-                if let Some(child) = self.child(&child) {
+                if let Some(child) = self.children.get_mut(&child) {
                     child.order(ChildOrder::Retire);
                 }
             }
@@ -261,8 +258,10 @@ impl MachineActor for SupervisorActor {
                 self.tell_parent(ChildEvent::Unavailable { reason });
             }
             SupervisorOutput::Overdue { child, incarnation, limit } => {
-                let is_reported =
-                    self.child(&child).is_some_and(|child| child.order(ChildOrder::CutOff));
+                let is_reported = self
+                    .children
+                    .get_mut(&child)
+                    .is_some_and(|child| child.order(ChildOrder::CutOff));
                 if !is_reported {
                     let detail = format!("it was not at work within {limit:?}");
                     self.declare(child, incarnation, FaultKind::InitializationFailed, detail);
@@ -315,13 +314,7 @@ impl Actor for SupervisorActor {
 
     fn started(&mut self, context: &mut Context<Self>) {
         let address = context.address();
-        let ports = SupervisorRecipients {
-            requests: address.clone().recipient(),
-            add: address.clone().recipient(),
-            pings: address.clone().recipient(),
-            read: address.recipient(),
-        };
-        self.neighbours.directory.enter(&self.name, ports, self.children.keys());
+        self.neighbours.directory.enter(&self.name, address, self.children.keys());
         self.drive(context);
     }
 }

@@ -110,14 +110,13 @@ pub(crate) enum LifecycleStep {
 /// What is to be reported.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum LifecycleReport {
+    /// The state that was reached, and why.
     State(Lifecycle, Option<String>),
+    /// What the supervisor is to know.
     Child(ChildEvent),
     /// Something is not there yet; [`IncarnationLifecycle::handle_retry`] is to be called when this
     /// has passed.
-    Unavailable {
-        reason: String,
-        retry_in: Duration,
-    },
+    Unavailable { reason: String, retry_in: Duration },
 }
 
 /// A hook that is to be called again.

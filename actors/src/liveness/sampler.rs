@@ -453,16 +453,14 @@ impl Sampler {
             self.heartbeats.entry(entry.heartbeat.id()).or_insert_with(heartbeat).1 += 1;
             self.activities.enter(slot, entry);
         }
-        let scanner = &mut self.scanner;
-        self.heartbeats.retain(|id, (heartbeat, population)| {
-            // A fenced arbiter is followed until it comes back or is lost, also without components.
-            let awaited = heartbeat.is_fenced() && !heartbeat.is_lost();
-            let kept = awaited || *population > 0;
-            if !kept {
-                scanner.handle_gone(*id);
-            }
-            kept
-        });
+        // A fenced arbiter is followed until it comes back or is lost, also without components.
+        let is_followed = |(heartbeat, population): &(Arc<ArbiterHeartbeat>, usize)| {
+            *population > 0 || heartbeat.is_fenced() && !heartbeat.is_lost()
+        };
+        for (id, _) in self.heartbeats.iter().filter(|(_, of)| !is_followed(of)) {
+            self.scanner.handle_gone(*id);
+        }
+        self.heartbeats.retain(|_, of| is_followed(of));
     }
 }
 

@@ -161,13 +161,12 @@ pub(crate) struct ReplyFuture<M: Contract> {
 }
 
 enum Limit {
+    /// The wait has no end.
     None,
     /// To be set at the first poll.
     Within(Duration),
     /// Swept by the beat of the arbiter on which the wait began.
-    Swept {
-        _deadline: Deadline,
-    },
+    Swept { _deadline: Deadline },
     /// This thread has no beat.
     Timed(Pin<Box<tokio::time::Sleep>>),
 }

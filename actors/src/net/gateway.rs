@@ -68,9 +68,9 @@ struct GatewaySetup {
 
 /// Speaks for the objects of this node.
 pub(super) struct ObjectGateway {
-    wiring: GatewaySetup,
+    setup: GatewaySetup,
     /// With the table of all peers.
-    pub(super) exchange: PeerProtocol,
+    pub(super) protocol: PeerProtocol,
     pub(super) sessions: SessionWatch,
     /// Where replies go, by our number of the request.
     replies: SortedMap<u64, (NodeName, ReplyTo)>,
@@ -101,14 +101,14 @@ impl ObjectGateway {
         let may_be_away = environment.may_be_away.clone();
         let directory = environment.directory.as_ref().map(|line| line.reports.clone());
         let NetEnvironment { node, incarnation, session_timeout, .. } = environment;
-        let mut exchange = PeerProtocol::new(node.clone(), *incarnation, *session_timeout);
+        let mut protocol = PeerProtocol::new(node.clone(), *incarnation, *session_timeout);
         if let Some(keys) = &environment.keys {
-            exchange.handle_roster(keys.serial(), keys.roster_text());
+            protocol.handle_roster(keys.serial(), keys.roster_text());
         }
         if let Some(policy) = registry.access().policy() {
-            exchange.handle_access((*policy).clone());
+            protocol.handle_access((*policy).clone());
         }
-        let wiring = GatewaySetup {
+        let setup = GatewaySetup {
             registry,
             topics,
             nodes,
@@ -122,8 +122,8 @@ impl ObjectGateway {
             roster_watch: Weak::new(),
         };
         ObjectGateway {
-            wiring,
-            exchange,
+            setup,
+            protocol,
             sessions: SessionWatch::default(),
             replies: SortedMap::new(),
             skeletons: SortedMap::new(),
@@ -138,11 +138,11 @@ impl ObjectGateway {
 
     /// Listens to the topics that this node's objects listen to.
     pub(super) fn take_interest(&mut self) {
-        let stack = self.wiring.stack.clone();
+        let stack = self.setup.stack.clone();
         let interest = move |key: &TopicKey| stack.do_send(LocalInput::Interest(key.clone()));
-        self.wiring.topics.on_interest(Arc::new(interest));
-        for (key, identities) in self.wiring.topics.listened() {
-            self.exchange.handle_interest(topic(&key), identities);
+        self.setup.topics.on_interest(Arc::new(interest));
+        for (key, identities) in self.setup.topics.listened() {
+            self.protocol.handle_interest(topic(&key), identities);
         }
     }
 
@@ -154,18 +154,18 @@ impl ObjectGateway {
     /// Carries out all that waits. A node that ends tells its peers, and ends its sessions.
     pub(super) fn drive(&mut self) {
         self.carry_out_all();
-        let is_over = |until| until <= platform::now() || !self.exchange.is_waiting();
+        let is_over = |until| until <= platform::now() || !self.protocol.is_waiting();
         if self.leaving.is_some_and(is_over) {
-            self.exchange.handle_leave();
+            self.protocol.handle_leave();
             self.carry_out_all();
-            self.exchange.close(platform::now());
+            self.protocol.close(platform::now());
             self.leaving = None;
         }
     }
 
     /// A panic in here has consumed an output.
     pub(super) fn carry_out_all(&mut self) {
-        while let Some(output) = self.exchange.poll_output() {
+        while let Some(output) = self.protocol.poll_output() {
             self.carry_out(output);
         }
     }
@@ -174,9 +174,9 @@ impl ObjectGateway {
         let now = platform::now();
         match output {
             PeerProtocolOutput::Send { peer, stream, key, message, credit } => {
-                let sent = match self.exchange.peers.present(peer) {
+                let sent = match self.protocol.peers.present(peer) {
                     Some(session) => session.handle_send_along(stream, key, message, credit, now),
-                    None => Err((self.exchange.peers.unreachable(peer), message.into_bytes())),
+                    None => Err((self.protocol.peers.unreachable(peer), message.into_bytes())),
                 };
                 self.give_back(peer, sent);
             }
@@ -184,9 +184,9 @@ impl ObjectGateway {
                 // Given back when the stack has yielded: senders on other threads would keep its
                 // mailbox filled, and actix serves that before any timer.
                 actix_rt::spawn(async move { drop(credit) });
-                let sent = match self.exchange.peers.present(peer) {
+                let sent = match self.protocol.peers.present(peer) {
                     Some(session) => session.handle_send_newest(channel, message, now),
-                    None => Err((self.exchange.peers.unreachable(peer), message.into_bytes())),
+                    None => Err((self.protocol.peers.unreachable(peer), message.into_bytes())),
                 };
                 self.give_back(peer, sent);
             }
@@ -195,7 +195,7 @@ impl ObjectGateway {
             }
             PeerProtocolOutput::Serve { peer, epoch, binding, call, id, age, until, payload } => {
                 let reply_to =
-                    call.map(|call| reply_to(peer, epoch, call, self.wiring.stack.clone()));
+                    call.map(|call| reply_to(peer, epoch, call, self.setup.stack.clone()));
                 let metadata =
                     MessageMetadata { id, age, is_first: false, until, from: Some(peer) };
                 self.serve(peer, binding, &payload, metadata, reply_to);
@@ -219,20 +219,20 @@ impl ObjectGateway {
                 self.subscribe(peer, subscription, &topic, identities);
             }
             PeerProtocolOutput::AccessDenied { denied } => {
-                self.wiring.registry.access().record(*denied);
+                self.setup.registry.access().record(*denied);
             }
             PeerProtocolOutput::SubscriptionForbidden { why } => {
-                self.forbidden.refused(&why, &self.wiring.faults);
+                self.forbidden.refused(&why, &self.setup.faults);
             }
             PeerProtocolOutput::Unsubscribe { peer, subscription } => {
                 self.end_forward((peer, subscription));
             }
             PeerProtocolOutput::Event { peer, topic, form, age, payload } => {
-                if self.exchange.peers.get(peer).is_none() {
+                if self.protocol.peers.get(peer).is_none() {
                     return;
                 }
                 let key = TopicKey::new(&topic.topic, &topic.contract);
-                let topics = &self.wiring.topics;
+                let topics = &self.setup.topics;
                 // An event that cannot be read is among the topic's dead letters; a topic that is
                 // not known has no listeners.
                 let given = key.and_then(|key| topics.inject(&key.topic, form, &payload, age));
@@ -247,7 +247,7 @@ impl ObjectGateway {
             PeerProtocolOutput::SafeState { peer, reason } => self.peer_rests(peer, reason),
             PeerProtocolOutput::Roster { peer, text } => self.offer_roster(peer, &text),
             PeerProtocolOutput::Directory { peer, message } => {
-                if let Some(Peer { node, .. }) = self.exchange.peers.get(peer) {
+                if let Some(Peer { node, .. }) = self.protocol.peers.get(peer) {
                     self.tell_directory(DirectoryReport::Said { node: node.clone(), message });
                 }
             }
@@ -266,21 +266,21 @@ impl ObjectGateway {
     /// Two nodes hold different contracts: shown in the session's row, and a fault. Each is told
     /// once in an incarnation of the peer.
     fn differs(&mut self, peer: NodeId, difference: &str) {
-        let Some(peer) = self.exchange.peers.get_mut(peer) else { return };
+        let Some(peer) = self.protocol.peers.get_mut(peer) else { return };
         if !peer.differs(difference) {
             return;
         }
         let node = &peer.node;
         error!(%node, "a contract differs: {difference}");
         let detail = format!("with node {node}: {difference}");
-        self.wiring.faults.declare(FaultKind::ContractMismatch, detail);
+        self.setup.faults.declare(FaultKind::ContractMismatch, detail);
     }
 
     /// What differed in an incarnation of a peer is over. What still differs, or differs again, is
     /// found and declared again.
     fn forget_differences(&self) {
-        if self.exchange.peers.iter().all(|(_, peer)| peer.differences().is_empty()) {
-            self.wiring.faults.clear(FaultKind::ContractMismatch);
+        if self.protocol.peers.iter().all(|(_, peer)| peer.differences().is_empty()) {
+            self.setup.faults.clear(FaultKind::ContractMismatch);
         }
     }
 
@@ -291,10 +291,10 @@ impl ObjectGateway {
 
     /// A node ends in order: that it will be silent is no fault.
     fn handle_bye(&mut self, peer: NodeId) {
-        let Some(known) = self.exchange.peers.get_mut(peer) else { return };
+        let Some(known) = self.protocol.peers.get_mut(peer) else { return };
         known.left = true;
         let (node, incarnation) = (known.node.clone(), known.incarnation);
-        self.wiring.stubs.send_state(&node).set(PeerCondition::Left);
+        self.setup.stubs.send_state(&node).set(PeerCondition::Left);
         info!(%node, %incarnation, "node leaves in order");
         self.tell_directory(DirectoryReport::Left { node });
         self.report(peer, NodeCondition::Left);
@@ -302,21 +302,21 @@ impl ObjectGateway {
 
     /// Reports how a peer is, in the incarnation that a session was opened with last.
     fn report(&self, peer: NodeId, condition: NodeCondition) {
-        if let (Some(nodes), Some(peer)) = (&self.wiring.nodes, self.exchange.peers.get(peer)) {
+        if let (Some(nodes), Some(peer)) = (&self.setup.nodes, self.protocol.peers.get(peer)) {
             let (node, incarnation) = (peer.node.clone(), peer.incarnation);
             nodes.do_send(NodeReported { node, incarnation, condition });
         }
     }
 
     fn tell_directory(&self, report: DirectoryReport) {
-        if let Some(directory) = &self.wiring.directory {
+        if let Some(directory) = &self.setup.directory {
             directory.do_send(report);
         }
     }
 
     /// Why the session with a peer has ended, as its callers are told.
     fn because(&self, peer: NodeId, why: DeliveryError) -> DeliveryError {
-        match self.exchange.peers.get(peer) {
+        match self.protocol.peers.get(peer) {
             Some(Peer { node, left: true, .. }) => DeliveryError::Left { node: node.to_string() },
             _ => why,
         }
@@ -335,36 +335,36 @@ impl ObjectGateway {
 
     /// Makes the row of a node. Where the table is full, another one is forgotten.
     fn meet(&mut self, node: &NodeName) -> NodeId {
-        if let Some(gone) = self.exchange.expendable(node)
-            && let Some(known) = self.exchange.peers.get_mut(gone)
+        if let Some(gone) = self.protocol.expendable(node)
+            && let Some(known) = self.protocol.peers.get_mut(gone)
         {
             let (name, held) = (known.node.clone(), known.session.take_unacknowledged());
             self.discard(gone, held);
             self.carry_out_all();
             self.forget_past(gone);
-            self.wiring.deaths.forget(gone);
-            self.wiring.stubs.forget(&name);
-            if self.exchange.forget(gone) {
+            self.setup.deaths.forget(gone);
+            self.setup.stubs.forget(&name);
+            if self.protocol.forget(gone) {
                 self.forget_differences();
             }
         }
-        self.exchange.meet(node, platform::random_seed(), platform::now())
+        self.protocol.meet(node, platform::random_seed(), platform::now())
     }
 
     fn with_send_state(&self, peer: NodeId, act: impl FnOnce(&PeerSendState)) {
-        if let Some(peer) = self.exchange.peers.get(peer) {
-            act(&self.wiring.stubs.send_state(&peer.node));
+        if let Some(peer) = self.protocol.peers.get(peer) {
+            act(&self.setup.stubs.send_state(&peer.node));
         }
     }
 
     /// Shows senders that no session is open, and whether one is about to begin.
     fn show_closed(&self, peer: NodeId) {
-        let Some(known) = self.exchange.peers.get(peer).filter(|peer| !peer.left) else { return };
+        let Some(known) = self.protocol.peers.get(peer).filter(|peer| !peer.left) else { return };
         let condition = match known.path {
             Some(_) => PeerCondition::Opening,
             None => PeerCondition::Unreachable,
         };
-        self.wiring.stubs.send_state(&known.node).set(condition);
+        self.setup.stubs.send_state(&known.node).set(condition);
     }
 
     /// A node can be reached; a session will begin.
@@ -375,11 +375,11 @@ impl ObjectGateway {
         mtu: usize,
     ) {
         let peer = self.meet(node);
-        let Some(known) = self.exchange.peers.get_mut(peer) else { return };
+        let Some(known) = self.protocol.peers.get_mut(peer) else { return };
         let is_newer = known.incarnation != incarnation;
         known.left &= !is_newer;
         known.handle_reachable(incarnation, mtu, platform::now());
-        let send_state = self.wiring.stubs.send_state(node);
+        let send_state = self.setup.stubs.send_state(node);
         send_state.path_found(is_newer);
         if !send_state.has_session() {
             self.show_closed(peer);
@@ -391,10 +391,10 @@ impl ObjectGateway {
     /// No path leads to a node any more; its session waits for one for a while.
     pub(super) fn handle_unreachable(&mut self, node: &NodeName) {
         let peer = NodeId::of(node);
-        let Some(known) = self.exchange.peers.get_mut(peer) else { return };
+        let Some(known) = self.protocol.peers.get_mut(peer) else { return };
         known.handle_no_path(platform::now());
-        self.wiring.deaths.handle_opening(peer);
-        let send_state = self.wiring.stubs.send_state(node);
+        self.setup.deaths.handle_opening(peer);
+        let send_state = self.setup.stubs.send_state(node);
         send_state.path_lost();
         self.tell_directory(DirectoryReport::Unreachable { node: node.clone() });
         if !send_state.has_session() {
@@ -406,7 +406,7 @@ impl ObjectGateway {
     /// came over a link with that node itself, or that node has sealed it.
     pub(super) fn handle_segment(&mut self, source: NodeId, segment: Bytes, authentic: bool) {
         // A peer that the router has not told of yet repeats itself.
-        let Some(peer) = self.exchange.peers.get_mut(source) else {
+        let Some(peer) = self.protocol.peers.get_mut(source) else {
             self.sessions.strangers.unexpected += 1;
             return;
         };
@@ -416,13 +416,13 @@ impl ObjectGateway {
 
     /// A session has begun, which has this number.
     pub(super) fn session_opened(&mut self, peer: NodeId, incarnation: Incarnation, session: u32) {
-        let Some(node) = self.exchange.peers.get(peer).map(|peer| peer.node.clone()) else {
+        let Some(node) = self.protocol.peers.get(peer).map(|peer| peer.node.clone()) else {
             return;
         };
         info!(%node, %incarnation, "session open");
         // Before the peer learns that it is connected.
-        self.wiring.deaths.handle_opening(peer);
-        if self.exchange.handle_opened(peer, incarnation, session, platform::now()) {
+        self.setup.deaths.handle_opening(peer);
+        if self.protocol.handle_opened(peer, incarnation, session, platform::now()) {
             self.forget_differences();
         }
         self.with_send_state(peer, PeerSendState::begin);
@@ -433,10 +433,10 @@ impl ObjectGateway {
 
     /// A message has arrived.
     pub(super) fn handle_message(&mut self, peer: NodeId, message: Bytes) {
-        if self.exchange.peers.get(peer).is_some_and(|peer| peer.isolated) {
+        if self.protocol.peers.get(peer).is_some_and(|peer| peer.isolated) {
             debug!(%peer, "an isolated node speaks");
         } else {
-            self.exchange.handle_message(peer, message, platform::now());
+            self.protocol.handle_message(peer, message, platform::now());
         }
     }
 
@@ -450,21 +450,21 @@ impl ObjectGateway {
     ) {
         let why = self.because(peer, why);
         let sent = if sent { TransmitState::Perhaps } else { TransmitState::Nothing };
-        self.exchange.handle_returned(peer, message, why, sent);
+        self.protocol.handle_returned(peer, message, why, sent);
     }
 
     /// A session is over; what was unacknowledged has been returned.
     pub(super) fn session_ended(&mut self, peer: NodeId, why: DeliveryError) {
-        let Some(Peer { node, .. }) = self.exchange.peers.get(peer) else { return };
+        let Some(Peer { node, .. }) = self.protocol.peers.get(peer) else { return };
         self.tell_directory(DirectoryReport::Ended { node: node.clone() });
         self.show_closed(peer);
         let why = self.because(peer, why);
-        self.exchange.handle_ended(peer, &why);
+        self.protocol.handle_ended(peer, &why);
     }
 
     /// The session with a peer is over, and held these messages.
     fn discard(&mut self, peer: NodeId, held: Vec<(TrafficClass, Bytes, bool)>) {
-        let why = self.exchange.peers.unreachable(peer);
+        let why = self.protocol.peers.unreachable(peer);
         for (_, message, sent) in held {
             self.handle_returned(peer, message, why.clone(), sent);
         }
@@ -474,10 +474,10 @@ impl ObjectGateway {
     /// After a panic, every session begins again. It may have lost an output: what the peers had
     /// here goes, and requests that no session will answer are resolved.
     pub(super) fn restart(&mut self) {
-        let peers = self.exchange.peers.ids();
+        let peers = self.protocol.peers.ids();
         for peer in &peers {
             let (seed, now) = (platform::random_seed(), platform::now());
-            let Some(mut old) = self.exchange.replace_session(*peer, seed, now) else { continue };
+            let Some(mut old) = self.protocol.replace_session(*peer, seed, now) else { continue };
             // After a panic, what it holds is given back if it can be read at all.
             let held = panics::caught(|| old.take_unacknowledged());
             self.discard(*peer, held.unwrap_or_default());
@@ -487,10 +487,10 @@ impl ObjectGateway {
             error!(%again, "a restarted network panics once more");
         }
         for peer in peers {
-            let why = self.because(peer, self.exchange.peers.unreachable(peer));
+            let why = self.because(peer, self.protocol.peers.unreachable(peer));
             self.forget(peer, &why);
         }
-        let lost = |number: &u64| !self.exchange.is_to_repeat(*number);
+        let lost = |number: &u64| !self.protocol.is_to_repeat(*number);
         let lost: Vec<_> = self.replies.keys().copied().filter(lost).collect();
         for (node, reply_to) in lost.iter().filter_map(|number| self.replies.remove(number)) {
             let reason = format!("the session with {node} was reopened");
@@ -501,12 +501,12 @@ impl ObjectGateway {
     /// Isolates a node, or admits it again. Says whether that is a change. What is under way with
     /// an isolated node is resolved, and what it has here goes.
     pub(super) fn handle_isolation(&mut self, node: &NodeName, isolated: bool) -> bool {
-        let known = self.exchange.peers.get(NodeId::of(node));
+        let known = self.protocol.peers.get(NodeId::of(node));
         if known.is_some_and(|known| known.isolated) == isolated {
             return false;
         }
         let peer = self.meet(node);
-        let Some(known) = self.exchange.peers.get_mut(peer) else { return false };
+        let Some(known) = self.protocol.peers.get_mut(peer) else { return false };
         known.isolated = isolated;
         if !isolated {
             // What it sent meanwhile was not read: only a new session makes both agree again.
@@ -514,7 +514,7 @@ impl ObjectGateway {
         }
         self.with_send_state(peer, |send_state| send_state.set_isolated(isolated));
         if isolated {
-            self.exchange.handle_ended(peer, &DeliveryError::isolated(node));
+            self.protocol.handle_ended(peer, &DeliveryError::isolated(node));
             self.tell_directory(DirectoryReport::Ended { node: node.clone() });
         }
         true
@@ -530,30 +530,30 @@ impl ObjectGateway {
         let ObjectAddress { node, object } = to;
         let credit = Some(credit);
         let call = Call { node, object, contract, id, sent, until, payload, reply_as, credit };
-        self.exchange.handle_call(call);
+        self.protocol.handle_call(call);
     }
 
     pub(super) fn handle_local(&mut self, input: LocalInput) {
         let now = platform::now();
         match input {
-            LocalInput::Started => self.exchange.handle_started(now),
+            LocalInput::Started => self.protocol.handle_started(now),
             // Once nothing waits here, the sessions end.
             LocalInput::Ending => _ = self.leaving.get_or_insert(now + LEAVE_TIMEOUT),
             LocalInput::Reply { peer, epoch, call, result } => {
-                self.exchange.handle_answer(peer, epoch, call, result, now);
+                self.protocol.handle_answer(peer, epoch, call, result, now);
             }
             LocalInput::Capacity { peer, object } => self.hand_over(peer, object),
             LocalInput::Interest(key) => {
                 self.compare_forwards(&key);
-                let identities = self.wiring.topics.settle_interest(&key.topic);
-                self.exchange.handle_interest(topic(&key), identities);
+                let identities = self.setup.topics.settle_interest(&key.topic);
+                self.protocol.handle_interest(topic(&key), identities);
             }
             LocalInput::Event { peer, subscription, losses, event, sent, credit } => {
                 let known = self.forwards.get(&(peer, subscription));
                 match known.filter(|known| Arc::ptr_eq(&known.losses, &losses)) {
                     Some(known) => {
                         let (number, stream) = known.by;
-                        self.exchange.handle_event(peer, number, stream, event, sent, Some(credit))
+                        self.protocol.handle_event(peer, number, stream, event, sent, Some(credit))
                     }
                     None => _ = losses.take_late(),
                 }
@@ -563,30 +563,30 @@ impl ObjectGateway {
 
     /// Records what was lost since the last call, and ends what has waited for too long.
     pub(super) fn handle_time(&mut self) {
-        self.exchange.handle_time(platform::now());
+        self.protocol.handle_time(platform::now());
         self.collect_losses();
     }
 
     /// Declares what was refused, forbidden and lost since the last call, a second ago.
     pub(super) fn look(&mut self) {
         self.look_at_refusals();
-        let access = self.wiring.registry.access();
+        let access = self.setup.registry.access();
         for node in access.take_floods(FLOOD) {
             let what = "it asks a thousand times a second for what it may not";
             self.offends(NodeId::of(&node), what);
         }
-        let is_refused = self.exchange.is_refused_a_subscription();
-        self.forbidden.look(&access, is_refused, &self.wiring.faults);
+        let is_refused = self.protocol.is_refused_a_subscription();
+        self.forbidden.look(&access, is_refused, &self.setup.faults);
         self.look_at_losses();
         self.look_at_topics();
-        let GatewaySetup { faults, nodes, .. } = &self.wiring;
-        self.sessions.look_at_refusals(&mut self.exchange.peers, faults, nodes.as_ref());
-        self.sessions.look_at_rates(&self.exchange.peers);
+        let GatewaySetup { faults, nodes, .. } = &self.setup;
+        self.sessions.look_at_refusals(&mut self.protocol.peers, faults, nodes.as_ref());
+        self.sessions.look_at_rates(&self.protocol.peers);
     }
 
     /// Peers are told whether this node is in the safe state.
     pub(super) fn handle_safe_state(&mut self, message: SafeStateChanged) {
-        self.exchange.handle_safe_state(match message {
+        self.protocol.handle_safe_state(match message {
             SafeStateChanged::Entered { reason } => Some(reason),
             SafeStateChanged::Left => None,
             // The peers see the node leave, and hear of the safe state when it is one.
@@ -602,25 +602,25 @@ impl ObjectGateway {
 
     /// Rosters of peers are checked by this watch.
     pub(super) fn attach_roster_watch(&mut self, watch: Weak<RosterWatch>) {
-        self.wiring.roster_watch = watch;
+        self.setup.roster_watch = watch;
     }
 
     /// What peers may do here is another thing now.
     pub(super) fn handle_roster(&mut self, keys: &NodeKeys) {
         let policy = keys.access_policy();
-        self.wiring.registry.access().replace(policy.clone());
+        self.setup.registry.access().replace(policy.clone());
         self.tell_directory(DirectoryReport::Policy(Box::new(policy.clone())));
-        self.exchange.handle_access(policy);
+        self.protocol.handle_access(policy);
     }
 
     /// Peers are told of a newer roster.
     pub(super) fn announce_roster(&mut self, keys: &NodeKeys) {
-        self.exchange.handle_roster(keys.serial(), keys.roster_text());
+        self.protocol.handle_roster(keys.serial(), keys.roster_text());
     }
 
     pub(super) fn offer_roster(&self, peer: NodeId, text: &[u8]) {
-        let from = self.exchange.peers.get(peer).map(|peer| peer.node.clone());
-        let (Some(from), Some(watch)) = (from, self.wiring.roster_watch.upgrade()) else { return };
+        let from = self.protocol.peers.get(peer).map(|peer| peer.node.clone());
+        let (Some(from), Some(watch)) = (from, self.setup.roster_watch.upgrade()) else { return };
         match str::from_utf8(text) {
             Ok(text) => watch.offer(RosterOffer { from, text: text.to_owned() }),
             Err(error) => warn!(%from, %error, "its roster is no text"),

@@ -53,9 +53,9 @@ const SLOW_COST: u64 = 1000;
 /// loses a tenth.
 const DISTRUSTED: u64 = 8;
 
-/// A link as it is described; the bundle tells it of the medium.
-fn link(wiring: &LinksRecipients, spec: &LinkSpec, now: Instant) -> Link {
-    let LinksRecipients { node, incarnation, .. } = wiring;
+/// A link as it is described; the link_layer tells it of the medium.
+fn link(recipients: &LinksRecipients, spec: &LinkSpec, now: Instant) -> Link {
+    let LinksRecipients { node, incarnation, .. } = recipients;
     let config = LinkConfig {
         expected: spec.neighbour.clone(),
         peer_timeout: spec.expected_within,
@@ -88,9 +88,9 @@ pub(super) struct LinksRecipients {
 
 /// The links of one network.
 pub(super) struct LinksActor {
-    wiring: LinksRecipients,
+    recipients: LinksRecipients,
     specs: SortedMap<LinkId, LinkSpec>,
-    bundle: LinkLayer<NoiseCrypto, MediumAddress>,
+    link_layer: LinkLayer<NoiseCrypto, MediumAddress>,
     rates: ByteRates<LinkId>,
     wake: WakeTimer,
     medium: MediumState,
@@ -98,7 +98,7 @@ pub(super) struct LinksActor {
     reported: SortedMap<LinkId, LinkStatus>,
     /// Those whose neighbour was never heard while the medium could not be opened.
     unheard: BTreeSet<LinkId>,
-    complaints: RefusalAlarms<Option<LinkId>>,
+    alarms: RefusalAlarms<Option<LinkId>>,
     names: NamesTaken,
     /// Where neighbours are learned of.
     discovery: Option<NetworkDiscovery>,
@@ -119,23 +119,24 @@ struct MediumState {
 impl LinksActor {
     /// Neighbours are learned of as `discovery` says, and get these numbers.
     pub(super) fn new(
-        wiring: LinksRecipients,
+        recipients: LinksRecipients,
         specs: SortedMap<LinkId, LinkSpec>,
         discovery: Option<(DiscoverySpec, Vec<LinkId>)>,
     ) -> Self {
-        let keys = wiring.seal.as_ref().map(|(keys, _)| &**keys);
-        let discovery = discovery
-            .map(|(spec, numbers)| NetworkDiscovery::new(wiring.node.clone(), spec, numbers, keys));
+        let keys = recipients.seal.as_ref().map(|(keys, _)| &**keys);
+        let discovery = discovery.map(|(spec, numbers)| {
+            NetworkDiscovery::new(recipients.node.clone(), spec, numbers, keys)
+        });
         let mut links = LinksActor {
-            wiring,
+            recipients,
             specs,
-            bundle: LinkLayer::new(None),
+            link_layer: LinkLayer::new(None),
             rates: ByteRates::default(),
             wake: WakeTimer::default(),
             medium: MediumState::default(),
             reported: SortedMap::new(),
             unheard: BTreeSet::new(),
-            complaints: RefusalAlarms::default(),
+            alarms: RefusalAlarms::default(),
             names: NamesTaken::default(),
             discovery,
         };
@@ -145,9 +146,9 @@ impl LinksActor {
 
     fn build(&mut self, now: Instant) {
         // Keys and counters die with the links: none is ever used by another life of them.
-        let sealer = self.wiring.seal.as_ref();
-        let sealer = sealer.map(|(keys, terms)| keys.sealer(self.wiring.incarnation, *terms));
-        self.bundle = LinkLayer::new(sealer);
+        let sealer = self.recipients.seal.as_ref();
+        let sealer = sealer.map(|(keys, terms)| keys.sealer(self.recipients.incarnation, *terms));
+        self.link_layer = LinkLayer::new(sealer);
         self.let_operators_dial_in();
         self.unheard.clear();
         if let Some(discovery) = &mut self.discovery {
@@ -157,14 +158,14 @@ impl LinksActor {
         let specs: Vec<_> = self.specs.iter().map(|(n, spec)| (*n, spec.clone())).collect();
         for (number, spec) in specs {
             if let Err(error) = self.insert(number, &spec, now) {
-                error!(network = %self.wiring.network, link = %spec.name, "no link: {error}");
+                error!(network = %self.recipients.network, link = %spec.name, "no link: {error}");
             }
         }
         if let Some((mtu, is_probed)) = self.medium.mtu {
-            self.bundle.handle_mtu(mtu, is_probed);
+            self.link_layer.handle_mtu(mtu, is_probed);
         }
         if let Some(rate) = self.medium.bytes_per_second {
-            self.bundle.handle_rate(rate);
+            self.link_layer.handle_rate(rate);
         }
     }
 
@@ -175,19 +176,19 @@ impl LinksActor {
         spec: &LinkSpec,
         now: Instant,
     ) -> Result<(), AddLinkError> {
-        let link = link(&self.wiring, spec, now);
-        let keys = self.wiring.seal.as_ref().map(|(keys, _)| keys);
+        let link = link(&self.recipients, spec, now);
+        let keys = self.recipients.seal.as_ref().map(|(keys, _)| keys);
         let key = keys.zip(spec.neighbour.as_ref()).and_then(|(keys, node)| keys.key_of(node));
-        self.bundle.insert(number, link, spec.remote.clone(), key, now)
+        self.link_layer.insert(number, link, spec.remote.clone(), key, now)
     }
 
     fn attach(&mut self, context: &mut Context<Self>) {
         let (frames, reports) = (context.address().recipient(), context.address().recipient());
-        let connections = match self.wiring.seal {
+        let connections = match self.recipients.seal {
             Some(_) => ConnectionTrust::Proven,
             None => ConnectionTrust::Claimed,
         };
-        self.wiring.transport.attach.do_send(Attach {
+        self.recipients.transport.attach.do_send(Attach {
             frames,
             reports,
             connections,
@@ -210,7 +211,7 @@ impl LinksActor {
 
     /// How the frames of a link are sealed, and since when by these keys.
     fn seal(&self, number: LinkId, now: Instant) -> Option<LinkSeal> {
-        let ChannelStatus { profile, suite, since, .. } = self.bundle.channel(number)?;
+        let ChannelStatus { profile, suite, since, .. } = self.link_layer.channel(number)?;
         let cipher = match (profile, suite) {
             (SealProfile::Compact, _) => "HMAC-SHA-256",
             (SealProfile::Full, CipherSuite::AesGcm) => "AES-256-GCM",
@@ -220,7 +221,7 @@ impl LinksActor {
     }
 
     fn tell_router(&mut self, number: LinkId) {
-        let Some(link) = self.bundle.get(number) else { return };
+        let Some(link) = self.link_layer.get(number) else { return };
         let Some(neighbour) = link.neighbour().cloned() else { return };
         let cost = self.cost(number, link);
         let health = match (link.state(), self.medium.mtu) {
@@ -232,7 +233,7 @@ impl LinksActor {
         let status = LinkStatus { neighbour, health, cost, mtu: link.frame_limit() };
         self.reported.insert(number, status.clone());
         let remote = self.remote(number);
-        self.wiring.router_changes.do_send(LinkChanged { link: number, status, remote });
+        self.recipients.router_changes.do_send(LinkChanged { link: number, status, remote });
     }
 
     /// Where a link leads, for display.
@@ -250,10 +251,10 @@ impl LinksActor {
     fn lose_all(&mut self, reason: &str, now: Instant) {
         let numbers: Vec<_> = self.specs.keys().copied().collect();
         for number in numbers {
-            let Some(state) = self.bundle.get(number).map(Link::state) else { continue };
+            let Some(state) = self.link_layer.get(number).map(Link::state) else { continue };
             match state {
                 LinkState::Up | LinkState::Suspect => {
-                    self.bundle.with_link(number, now, |link| link.handle_loss(now));
+                    self.link_layer.with_link(number, now, |link| link.handle_loss(now));
                 }
                 LinkState::Connecting | LinkState::Down => {
                     self.tell_monitor(number, LinkCondition::Down { reason: reason.to_owned() });
@@ -264,25 +265,28 @@ impl LinksActor {
 
     /// A medium without a neighbour has no link whose fault it could be; it is its own then.
     fn tell_of_lonely_medium(&self, condition: LinkCondition) {
-        let (Some(monitor), true) = (&self.wiring.monitor, self.specs.is_empty()) else { return };
-        let (node, link) = (self.wiring.node.clone(), self.wiring.network.clone());
+        let (Some(monitor), true) = (&self.recipients.monitor, self.specs.is_empty()) else {
+            return;
+        };
+        let (node, link) = (self.recipients.node.clone(), self.recipients.network.clone());
         monitor.do_send(LinkReported { node, link, neighbour: None, condition });
     }
 
     fn tell_monitor(&self, number: LinkId, condition: LinkCondition) {
-        let (Some(monitor), Some(spec)) = (&self.wiring.monitor, self.specs.get(&number)) else {
+        let (Some(monitor), Some(spec)) = (&self.recipients.monitor, self.specs.get(&number))
+        else {
             return;
         };
-        let peer = self.bundle.get(number).and_then(Link::neighbour);
+        let peer = self.link_layer.get(number).and_then(Link::neighbour);
         let neighbour = peer.map(|peer| peer.node.clone()).or(spec.neighbour.clone());
-        let (node, link) = (self.wiring.node.clone(), spec.name.clone());
+        let (node, link) = (self.recipients.node.clone(), spec.name.clone());
         monitor.do_send(LinkReported { node, link, neighbour, condition });
     }
 
     fn changed(&mut self, number: LinkId, state: LinkState, reason: &'static str) {
         let link = self.specs.get(&number).map(|spec| spec.name.clone()).unwrap_or_default();
-        info!(network = %self.wiring.network, %link, %state, reason, "link");
-        if state == LinkState::Down && self.wiring.dial_in.contains(&number) {
+        info!(network = %self.recipients.network, %link, %state, reason, "link");
+        if state == LinkState::Down && self.recipients.dial_in.contains(&number) {
             return self.remove(number);
         }
         self.tell_router(number);
@@ -293,7 +297,7 @@ impl LinksActor {
                 self.tell_condition(number);
             }
             LinkState::Down => {
-                let refusal = self.bundle.get(number).and_then(Link::refusal);
+                let refusal = self.link_layer.get(number).and_then(Link::refusal);
                 let reason = refusal.map_or_else(|| reason.to_owned(), ToString::to_string);
                 self.tell_monitor(number, LinkCondition::Down { reason });
             }
@@ -305,7 +309,7 @@ impl LinksActor {
     /// The quality of a link, or the frames that it carries, are others now.
     fn judged(&mut self, number: LinkId) {
         self.tell_router(number);
-        let state = self.bundle.get(number).map(Link::state);
+        let state = self.link_layer.get(number).map(Link::state);
         if let Some(LinkState::Up | LinkState::Suspect) = state {
             self.tell_condition(number);
         }
@@ -317,27 +321,27 @@ impl LinksActor {
         for (link, status) in std::mem::take(&mut self.reported) {
             let status = LinkStatus { health: LinkHealth::Down, ..status };
             let remote = self.remote(link);
-            self.wiring.router_changes.do_send(LinkChanged { link, status, remote });
+            self.recipients.router_changes.do_send(LinkChanged { link, status, remote });
         }
     }
 
     fn no_carrier(&mut self, reason: &'static str, now: Instant) {
         let numbers: Vec<_> = self.specs.keys().copied().collect();
         for number in numbers {
-            self.bundle.with_link(number, now, |link| link.handle_no_carrier(reason, now));
+            self.link_layer.with_link(number, now, |link| link.handle_no_carrier(reason, now));
         }
     }
 
     fn look_at_rates(&mut self) {
         let carried = self.specs.keys().map(|number| {
-            let traffic = self.bundle.traffic(*number);
+            let traffic = self.link_layer.traffic(*number);
             (*number, traffic.bytes_sent, traffic.bytes_received)
         });
         self.rates.handle_look(carried, platform::now());
     }
 
     fn transmit(&self, to: MediumAddress, frame: GatherBuffer, lane: FrameLane) {
-        self.wiring.transport.transmit.do_send(Transmit { to, frame, lane });
+        self.recipients.transport.transmit.do_send(Transmit { to, frame, lane });
     }
 }
 
@@ -370,7 +374,7 @@ impl MachineActor for LinksActor {
     type Machine = LinkLayer<NoiseCrypto, MediumAddress>;
 
     fn driven(&mut self) -> (&mut Self::Machine, &mut WakeTimer) {
-        (&mut self.bundle, &mut self.wake)
+        (&mut self.link_layer, &mut self.wake)
     }
 
     fn carry_out(&mut self, output: LinkLayerOutput<MediumAddress>, _: &mut Context<Self>) {
@@ -378,19 +382,19 @@ impl MachineActor for LinksActor {
             LinkLayerOutput::Of(link, output) => self.carry_out_of(link, output),
             LinkLayerOutput::Transmit { to, frame, lane } => self.transmit(to, frame, lane),
             LinkLayerOutput::Adopt { connection, peer } => {
-                self.wiring.transport.adopt.do_send(Adopt { connection, peer });
+                self.recipients.transport.adopt.do_send(Adopt { connection, peer });
             }
             LinkLayerOutput::DialedIn { peer, address } => self.dialed_in(peer, address),
             LinkLayerOutput::Stranger(from) => {
-                warn!(network = %self.wiring.network, %from, "a stranger speaks; no link leads there");
+                warn!(network = %self.recipients.network, %from, "a stranger speaks; no link leads there");
             }
             LinkLayerOutput::Stalled(gap) => {
-                if let Some(stalls) = &self.wiring.stalls {
+                if let Some(stalls) = &self.recipients.stalls {
                     stalls.do_send(LivenessReported(LivenessEvent::Stalled { gap }));
                 }
             }
             LinkLayerOutput::KeyInUse { link, open, refused, at, address } => {
-                self.key_in_use(link, open, refused, [&at, &address].map(MediumAddress::peer));
+                self.key_in_use(link, open, refused, at.peer(), address.peer());
             }
         }
     }
@@ -398,7 +402,7 @@ impl MachineActor for LinksActor {
 
 impl LinksActor {
     fn carry_out_of(&mut self, link: LinkId, output: LinkOutput) {
-        let arrived = |load| self.wiring.router_loads.do_send(ReceivedOnLink { link, load });
+        let arrived = |load| self.recipients.router_loads.do_send(ReceivedOnLink { link, load });
         match output {
             LinkOutput::Routing(bytes) => arrived(LinkPayload::Routing(bytes)),
             LinkOutput::Packet(bytes) => arrived(LinkPayload::Packet(bytes.into())),
@@ -417,7 +421,7 @@ impl Handler<Received> for LinksActor {
 
     fn handle(&mut self, message: Received, context: &mut Context<Self>) {
         let Received { from, frame } = message;
-        self.bundle.handle_frame(from, frame, platform::now());
+        self.link_layer.handle_frame(from, frame, platform::now());
         self.drive_soon(context);
     }
 }
@@ -429,13 +433,13 @@ impl Handler<TransportReport> for LinksActor {
         let now = platform::now();
         match message {
             TransportReport::Opened { local, mtu, is_probed } => {
-                info!(network = %self.wiring.network, %local, mtu, "open");
+                info!(network = %self.recipients.network, %local, mtu, "open");
                 // What the seal takes is not left for the router.
-                let left = mtu.saturating_sub(self.bundle.overhead());
+                let left = mtu.saturating_sub(self.link_layer.overhead());
                 if left < MTU_MIN {
-                    let least = MTU_MIN + self.bundle.overhead();
+                    let least = MTU_MIN + self.link_layer.overhead();
                     error!(
-                        network = %self.wiring.network,
+                        network = %self.recipients.network,
                         "frames of {mtu} bytes are too small for sealed packets: set its mtu to {least} \
                          at least"
                     );
@@ -443,17 +447,17 @@ impl Handler<TransportReport> for LinksActor {
                 self.medium.mtu = Some((mtu, is_probed));
                 self.medium.local = local.to_string();
                 self.tell_port(&local);
-                self.bundle.handle_mtu(mtu, is_probed);
+                self.link_layer.handle_mtu(mtu, is_probed);
                 self.tell_router_all();
                 for number in std::mem::take(&mut self.unheard) {
                     let hello_received =
-                        self.bundle.get(number).is_some_and(|link| link.neighbour().is_some());
+                        self.link_layer.get(number).is_some_and(|link| link.neighbour().is_some());
                     self.missing(number, hello_received);
                 }
                 self.tell_of_lonely_medium(LinkCondition::Up);
             }
             TransportReport::Closed { reason } => {
-                error!(network = %self.wiring.network, "{reason}");
+                error!(network = %self.recipients.network, "{reason}");
                 self.medium.mtu = None;
                 self.lose_all(&reason, now);
                 self.tell_of_lonely_medium(LinkCondition::Down { reason });
@@ -464,13 +468,13 @@ impl Handler<TransportReport> for LinksActor {
             }
             TransportReport::Rate { bytes_per_second } => {
                 self.medium.bytes_per_second = Some(bytes_per_second);
-                self.bundle.handle_rate(bytes_per_second);
+                self.link_layer.handle_rate(bytes_per_second);
                 self.tell_router_all();
             }
             TransportReport::Clash { reason } => self.clash(reason),
             TransportReport::PeerLost { peer } => {
-                if let Some(number) = self.bundle.link_at(&peer) {
-                    self.bundle.with_link(number, now, |link| link.handle_loss(now));
+                if let Some(number) = self.link_layer.link_at(&peer) {
+                    self.link_layer.with_link(number, now, |link| link.handle_loss(now));
                 }
             }
         }
@@ -495,7 +499,7 @@ impl Handler<RosterChanged> for LinksActor {
     type Result = ();
 
     fn handle(&mut self, RosterChanged(keys): RosterChanged, context: &mut Context<Self>) {
-        let Some((known, _)) = &mut self.wiring.seal else { return };
+        let Some((known, _)) = &mut self.recipients.seal else { return };
         *known = keys.clone();
         if let Some(discovery) = &mut self.discovery {
             discovery.handle_roster(&keys);
@@ -505,16 +509,16 @@ impl Handler<RosterChanged> for LinksActor {
         let specs: Vec<_> = self.specs.iter().map(|(n, spec)| (*n, spec.clone())).collect();
         for (number, spec) in specs {
             let key = spec.neighbour.as_ref().and_then(|node| keys.key_of(node));
-            let set = match (self.bundle.get(number), key) {
+            let set = match (self.link_layer.get(number), key) {
                 // The links were built while the neighbour was not listed.
                 (None, Some(_)) => self.insert(number, &spec, now),
                 (_, key) => {
-                    let set = self.bundle.set_key(number, key.map(|key| key.public), now);
+                    let set = self.link_layer.set_key(number, key.map(|key| key.public), now);
                     set.map_err(AddLinkError::from)
                 }
             };
             if let Err(error) = set {
-                error!(network = %self.wiring.network, link = %spec.name, "no link: {error}");
+                error!(network = %self.recipients.network, link = %spec.name, "no link: {error}");
             }
         }
         self.drive(context);
@@ -526,7 +530,7 @@ impl Handler<TransmitOnLink> for LinksActor {
 
     fn handle(&mut self, message: TransmitOnLink, context: &mut Context<Self>) {
         let TransmitOnLink { link, load } = message;
-        self.bundle.with_link(link, platform::now(), |link| match load {
+        self.link_layer.with_link(link, platform::now(), |link| match load {
             LinkPayload::Routing(bytes) => link.handle_routing(bytes),
             LinkPayload::Packet(packet) => link.handle_packet(packet),
             LinkPayload::Taken(holder) => link.handle_taken(holder),
@@ -544,7 +548,7 @@ impl Handler<ReadLinks> for LinksActor {
             let spec = self.specs.get(&number)?;
             Some(LinkRow {
                 number,
-                network: self.wiring.network.clone(),
+                network: self.recipients.network.clone(),
                 link: spec.name.clone(),
                 state: link.state(),
                 neighbour: link.neighbour().cloned(),
@@ -552,13 +556,13 @@ impl Handler<ReadLinks> for LinksActor {
                 quality: link.quality(),
                 hello_interval: link.hello_interval(),
                 cost: self.cost(number, link),
-                traffic: self.bundle.traffic(number),
+                traffic: self.link_layer.traffic(number),
                 rate: self.rates.rate(number),
-                refusals: self.bundle.refused_of(number),
+                refusals: self.link_layer.refused_of(number),
                 seal: self.seal(number, now),
             })
         };
-        MessageResult(self.bundle.iter().filter_map(row).collect())
+        MessageResult(self.link_layer.iter().filter_map(row).collect())
     }
 }
 

@@ -237,7 +237,7 @@ pub(crate) fn start(environment: NetEnvironment, networks: Vec<NetworkSpec>) -> 
         let links = links.collect();
         let discovery = spec.discovery.map(|discovery| (discovery, numbers.learned.clone()));
         let faults = environment.own_faults(&format!("links/{}", spec.name));
-        let wiring = links::LinksRecipients {
+        let recipients = links::LinksRecipients {
             node: node.clone(),
             incarnation,
             own_name: own_name.clone(),
@@ -252,7 +252,7 @@ pub(crate) fn start(environment: NetEnvironment, networks: Vec<NetworkSpec>) -> 
             dial_in: numbers.dial_in.clone(),
         };
         let address = guardian.start(name.clone(), on_arbiter, move |_| {
-            links::LinksActor::new(wiring, links, discovery)
+            links::LinksActor::new(recipients, links, discovery)
         });
         if let Some(interface) = spec.interface {
             watched.push(carrier::MonitoredInterface {

@@ -13,7 +13,7 @@ use tracing::warn;
 /// What was seen at the last look.
 #[derive(Default)]
 pub(super) struct SessionWatch {
-    complaints: RefusalAlarms<Option<NodeId>>,
+    alarms: RefusalAlarms<Option<NodeId>>,
     /// What came from nodes that no route leads to.
     pub(super) strangers: Refusals,
     pub(super) rates: ByteRates<NodeId>,
@@ -28,7 +28,7 @@ impl SessionWatch {
         nodes: Option<&Recipient<NodeReported>>,
     ) {
         let looks = peers.iter().map(|(id, peer)| (Some(id), peer.session.refusals()));
-        for (id, since) in self.complaints.handle_look(looks.chain([(None, self.strangers)])) {
+        for (id, since) in self.alarms.handle_look(looks.chain([(None, self.strangers)])) {
             let peer = id.and_then(|id| peers.get(id));
             let name = peer.map_or("nodes that no route leads to", |peer| peer.node.as_str());
             let detail = format!("what comes from {name} is refused all the time: {since}");

@@ -105,7 +105,7 @@ impl Machine for Floors {
                 ) => {}
                 Some(output) => return Some(StackOutput::Router(output)),
             }
-            let Some((peer, of_session)) = self.gateway.exchange.peers.poll_output() else {
+            let Some((peer, of_session)) = self.gateway.protocol.peers.poll_output() else {
                 return output.map(StackOutput::Router);
             };
             self.held = output;
@@ -121,11 +121,11 @@ impl Machine for Floors {
 
     fn poll_timeout(&self) -> Option<Instant> {
         let router = self.router.machine.poll_timeout();
-        [self.gateway.exchange.peers.poll_timeout(), router].into_iter().flatten().min()
+        [self.gateway.protocol.peers.poll_timeout(), router].into_iter().flatten().min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
-        self.gateway.exchange.peers.handle_timeout(now);
+        self.gateway.protocol.peers.handle_timeout(now);
         self.with_router(|router| router.machine.handle_timeout(now));
     }
 }
@@ -163,7 +163,7 @@ impl NetworkStack {
 
     fn carry_out_of_router(&mut self, output: RouterOutput) {
         let Floors { gateway, .. } = &mut self.floors;
-        let (peers, now) = (&mut gateway.exchange.peers, platform::now());
+        let (peers, now) = (&mut gateway.protocol.peers, platform::now());
         match output {
             RouterOutput::Undelivered { destination, reason } => {
                 debug!(node = %destination, %reason, "a packet came back");
@@ -235,7 +235,7 @@ impl Supervised for NetworkStack {
         self.wake = WakeTimer::default();
         // What the old machine reported and was not carried out, the new one reports again.
         self.floors.held = None;
-        self.floors.router.rebuild(&self.floors.gateway.exchange.peers);
+        self.floors.router.rebuild(&self.floors.gateway.protocol.peers);
         if !std::mem::take(&mut self.floors.in_router) {
             self.floors.gateway.restart();
         }
@@ -374,7 +374,7 @@ impl Handler<SendToDirectory> for NetworkStack {
 
     fn handle(&mut self, message: SendToDirectory, context: &mut Context<Self>) {
         let SendToDirectory { node, message } = message;
-        self.floors.gateway.exchange.handle_directory(NodeId::of(&node), message);
+        self.floors.gateway.protocol.handle_directory(NodeId::of(&node), message);
         self.drive_all_soon(context);
     }
 }
@@ -417,8 +417,8 @@ impl Handler<ReadSessions> for NetworkStack {
     type Result = MessageResult<ReadSessions>;
 
     fn handle(&mut self, _: ReadSessions, _: &mut Context<Self>) -> Self::Result {
-        let ObjectGateway { exchange, sessions, .. } = &self.floors.gateway;
-        let rows = exchange.peers.iter().map(|(id, peer)| SessionRow {
+        let ObjectGateway { protocol, sessions, .. } = &self.floors.gateway;
+        let rows = protocol.peers.iter().map(|(id, peer)| SessionRow {
             node: peer.node.clone(),
             status: peer.session.status(),
             rate: sessions.rates.rate(id),

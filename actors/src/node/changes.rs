@@ -17,11 +17,11 @@ use super::{Node, Shared};
 use crate::arbiter::pool::CULPRITS_LIMIT;
 use crate::component::Component;
 use crate::component::spec_error::{SpecError, did_you_mean};
-use crate::fault_chain::directory::SupervisorRecipients;
+use crate::fault_chain::supervisor::SupervisorActor;
 use crate::host::reference::ActorRef;
 use crate::host::spec::ChildSpec;
 use crate::platform::{self, lock};
-use actix::Recipient;
+use actix::{Addr, Recipient};
 use blastema_contract::reports::AreYouAlive;
 use blastema_contract::supervisor::{
     AddChild, ChildAction, ChildRequest, GaveUp, ReadTree, Recovered,
@@ -203,7 +203,7 @@ impl Node {
         let object = ObjectName::new(name).map_err(|_| unknown())?;
         let controller = self.0.chain.directory.supervisor_of(&object).ok_or_else(unknown)?;
         let restart = ChildRequest { object, action: ChildAction::Restart(None) };
-        match controller.requests.send(restart).await {
+        match controller.send(restart).await {
             Ok(Ok(Recovered { incarnation, waits, .. })) => Ok(match (incarnation, waits) {
                 (Some(incarnation), false) => RestartedChild::Running(incarnation),
                 (Some(incarnation), true) => RestartedChild::Unavailable(incarnation),
@@ -222,14 +222,14 @@ impl Node {
     async fn carry_out_removal(
         &self,
         object: ObjectName,
-        supervisor: &SupervisorRecipients,
+        supervisor: &Addr<SupervisorActor>,
         names: Vec<ObjectName>,
     ) -> Result<(), RemoveError> {
         let below = names.iter().filter_map(|name| self.0.chain.directory.supervisor(name));
-        let below: Vec<_> = below.map(|supervisor| supervisor.pings.clone()).collect();
+        let below: Vec<_> = below.map(|supervisor| supervisor.recipient()).collect();
         let remove = ChildRequest { object, action: ChildAction::Remove };
         loop {
-            match supervisor.requests.send(remove.clone()).await {
+            match supervisor.send(remove.clone()).await {
                 Ok(Err(GaveUp { why: GiveUpReason::Forgotten, .. }))
                 | Ok(Err(GaveUp { why: GiveUpReason::Full { .. }, .. })) => {
                     platform::sleep(RETRY_INTERVAL).await;
@@ -285,13 +285,13 @@ impl Node {
     async fn carry_out_addition(
         &self,
         parent: ObjectName,
-        supervisor: &SupervisorRecipients,
+        supervisor: &Addr<SupervisorActor>,
         addition: AddChild,
         tree: PreparedTree,
     ) -> Result<ObjectName, SpecError> {
         let name = addition.child.name().clone();
         self.0.chain.register(&self.0.name, &tree).await;
-        let added = supervisor.add.send(addition).await;
+        let added = supervisor.send(addition).await;
         // The parent may have been removed meanwhile, and this with it.
         let stays = lock(&self.0.tree.dependencies).has(&parent);
         let why = match added {
@@ -302,7 +302,7 @@ impl Node {
         if let Some(GiveUpReason::Forgotten | GiveUpReason::Full { .. }) = why {
             // It may be there all the same.
             let remove = ChildRequest { object: name.clone(), action: ChildAction::Remove };
-            let _ = supervisor.requests.send(remove).await;
+            let _ = supervisor.send(remove).await;
         }
         let names: Vec<_> = tree.names().cloned().collect();
         // At once: what is gone has no fault that could be recovered.

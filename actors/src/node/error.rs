@@ -1,6 +1,6 @@
 //! Why a node does not start.
 
-use crate::component::spec_error::SpecError;
+use crate::component::spec_error::{SpecError, in_file};
 use crate::service::ServiceRefused;
 use crate::settings::SettingError;
 use blastema_core::NameError;
@@ -122,7 +122,7 @@ pub enum StartError {
     },
     /// The configuration of parameters cannot be read, or gives them to a component that takes
     /// none.
-    #[error("parameters{}: {reason}", of_file(.file.as_ref()))]
+    #[error("parameters{}: {reason}", in_file(.file.as_ref()))]
     Parameters {
         /// The file, where it is one.
         file: Option<PathBuf>,
@@ -221,8 +221,4 @@ impl From<ServiceRefused> for StartError {
     fn from(ServiceRefused { name, reason }: ServiceRefused) -> Self {
         StartError::Service { name, reason }
     }
-}
-
-fn of_file(file: Option<&PathBuf>) -> String {
-    file.map(|file| format!(" in {}", file.display())).unwrap_or_default()
 }

@@ -196,7 +196,7 @@ async fn reset_component(node: &Node, name: &str) -> Result<(), String> {
     let supervisor = node.0.chain.directory.supervisor_of(&object);
     let supervisor = supervisor.ok_or("no supervisor keeps it any more")?;
     let reset = ChildRequest { object, action: ChildAction::Reset };
-    match supervisor.requests.send(reset).await {
+    match supervisor.send(reset).await {
         Ok(reset) => reset.map(drop).map_err(|gave_up| gave_up.why.to_string()),
         Err(_) => Err("the node was shut down".to_owned()),
     }

@@ -4,7 +4,7 @@ use crate::component::Component;
 use crate::component::environment::ComponentEnvironment;
 use crate::component::spec_error::SpecError;
 use crate::fault_chain::detection::DetectionActor;
-use crate::fault_chain::directory::SupervisorDirectory;
+use crate::fault_chain::supervisor::directory::SupervisorDirectory;
 use crate::fault_chain::supervisor::{
     SupervisorActor, SupervisorChild, SupervisorNeighbours, SupervisorSetup,
 };
@@ -114,9 +114,13 @@ impl Subtree {
     ) -> Option<(Box<dyn Child>, ChildRules)> {
         match self.0 {
             Entry::Component(prepare, restart) => {
-                let prepared = prepare(tree_environment.environment);
-                let (child, depends_on, rules) =
-                    prepared.map_err(|refused| tree.refused.extend(refused)).ok()?;
+                let (child, depends_on, rules) = match prepare(tree_environment.environment) {
+                    Ok(prepared) => prepared,
+                    Err(refused) => {
+                        tree.refused.extend(refused);
+                        return None;
+                    }
+                };
                 let name = child.name().clone();
                 let on_the_spot = tree_environment.plan.restarts_on_the_spot(&name);
                 tree.components.push(ComponentFacts { name, depends_on, restart });
@@ -124,9 +128,13 @@ impl Subtree {
             }
             Entry::Supervisor(spec) => {
                 let kept = spec.kept;
-                let prepared = spec.prepare(tree_environment, tree);
-                let child = prepared.map_err(|error| tree.refused.push(error)).ok()?;
-                Some((Box::new(child), kept))
+                match spec.prepare(tree_environment, tree) {
+                    Ok(child) => Some((Box::new(child), kept)),
+                    Err(error) => {
+                        tree.refused.push(error);
+                        None
+                    }
+                }
             }
         }
     }

@@ -306,12 +306,12 @@ impl DeathWatchService {
         question: Waiting,
     ) {
         let (mut waiting, mut of_asker) = (0, 0);
-        questions.waiting.retain(|_, others| {
+        for (_, others) in &mut questions.waiting {
             others.retain(|other| other.responder.is_wanted());
             waiting += others.len();
             of_asker += others.iter().filter(|other| other.by == question.by).count();
-            !others.is_empty()
-        });
+        }
+        questions.waiting.retain(|_, others| !others.is_empty());
         if of_asker < WAITING_MAX - waiting {
             return questions.waiting.entry(object).or_default().push(question);
         }

@@ -454,7 +454,7 @@ impl ReplicaActor {
     }
 
     /// Handles a caller's request.
-    fn handle_ask(&mut self, (): (), ask: AskService, responder: Responder<AskService>) {
+    fn handle_ask(&mut self, ask: AskService, responder: Responder<AskService>) {
         let AskService { sender, sequence, settled, since, task } = ask;
         if matches!(self.machine.role(), Role::Primary { epoch } if epoch < since) {
             // This process has not met the nodes that know of the later epoch.
@@ -567,13 +567,12 @@ fn ports(actor: &Addr<ReplicaActor>) -> SortedMap<&'static str, ContractPort> {
         |question: &CompareConfiguration, origin| sender(&question.from, origin),
         ReplicaActor::handle_comparison,
     );
-    let requests = port(actor, |_: &_, _| Some(()), ReplicaActor::handle_ask);
+    let requests =
+        port(actor, |_: &_, _| Some(()), |replica, (), ask, to| replica.handle_ask(ask, to));
     let questions = port(
         actor,
         |_: &_, _| Some(()),
-        |replica, (), question, responder| {
-            replica.answer_question(question, responder);
-        },
+        |replica, (), asked, to| replica.answer_question(asked, to),
     );
     let ports = [
         (ReplicaMessage::NAME, messages),

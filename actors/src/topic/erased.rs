@@ -56,8 +56,7 @@ impl<E: Event> AnyTopic for Topic<E> {
 
     fn forward_to(&self, forwards: Arc<[RemoteForward]>, joins: Option<&RemoteForward>) {
         let latch = joins.and_then(|joins| Some((joins, self.lock_latch()?)));
-        self.forwards.any.store(!forwards.is_empty(), Relaxed);
-        *lock(&self.forwards.all) = forwards;
+        self.forwards.change(|_| forwards);
         if let Some((joins, latch)) = latch
             && let Some(Latched { event, at, is_foreign: false }) = &*latch
             && let Ok(parcel) = codec::encode_parcel(event)

@@ -23,18 +23,18 @@ mod hub;
 mod hub_queue;
 pub(crate) mod ports;
 mod publisher;
+mod shared_list;
 mod subscription;
 mod table;
-mod tap;
 #[cfg(test)]
 mod tests;
 mod traffic;
 
 pub use publisher::Publisher;
+use shared_list::SharedList;
 use subscription::TopicSubscription;
 pub(crate) use table::Topics;
 pub(crate) use table::{ForwardId, described};
-use tap::TopicTaps;
 pub use traffic::TopicRow;
 
 use crate::component::envelope::{Times, enqueue_time};
@@ -136,6 +136,9 @@ struct Latched<E> {
     is_foreign: bool,
 }
 
+/// Is told of an event and its times. It must not wait.
+pub(crate) type TopicTap<E> = Arc<dyn Fn(&E, Times) + Send + Sync>;
+
 type Latch<E> = Option<Latched<E>>;
 
 /// One topic of this node.
@@ -143,13 +146,15 @@ pub(crate) struct Topic<E: Event> {
     key: TopicKey,
     id: u64,
     hubs: Mutex<Hubs<E>>,
-    forwards: Forwards,
+    /// The ways of its events to other nodes.
+    forwards: SharedList<RemoteForward>,
     listeners: AtomicU64,
     /// Held while an event of a latched topic is handed out, so that a listener that joins gets it
     /// once.
     latch: Mutex<Latch<E>>,
     traffic: Traffic,
-    taps: TopicTaps<E>,
+    /// As many as conditions over it.
+    taps: SharedList<TopicTap<E>>,
     /// Listeners here, and other nodes that have some.
     matched: watch::Sender<usize>,
     node: Arc<NodeTopics>,
@@ -157,20 +162,6 @@ pub(crate) struct Topic<E: Event> {
     complained: AtomicBool,
     /// The earlier versions that are understood.
     former: Vec<PreviousVersion<E>>,
-}
-
-/// The ways of a topic's events to other nodes.
-#[derive(Default)]
-struct Forwards {
-    /// There are some; to be looked at without the lock.
-    any: AtomicBool,
-    all: Mutex<Arc<[RemoteForward]>>,
-}
-
-impl Forwards {
-    fn all(&self) -> Arc<[RemoteForward]> {
-        lock(&self.all).clone()
-    }
 }
 
 /// The capacity that waits for one event on the way to other nodes.
@@ -265,7 +256,7 @@ impl<E: Event> Topic<E> {
         if self.traffic.is_to_be_measured() {
             self.measure(&event);
         }
-        let is_forwarded = self.forwards.any.load(Relaxed);
+        let is_forwarded = self.forwards.any();
         // A node that begins to listen meanwhile gets this event, and gets it once.
         let latch = self.lock_latch();
         if is_forwarded || latch.is_some() {
@@ -287,7 +278,9 @@ impl<E: Event> Topic<E> {
         is_foreign: bool,
         latch: Option<MutexGuard<'_, Latch<E>>>,
     ) {
-        self.taps.tell(&event, times);
+        if self.taps.any() {
+            self.taps.all().iter().for_each(|tap| tap(&event, times));
+        }
         let Some(mut latch) = latch else {
             return self.fan_out(event, times);
         };

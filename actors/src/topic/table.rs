@@ -1,10 +1,10 @@
 //! The topics of one node by their names, and what other nodes want of them.
 
 use super::erased::AnyTopic;
-use super::tap::{TopicTap, TopicTaps};
+use super::shared_list::SharedList;
 use super::traffic::{TopicRow, Traffic};
 use super::{
-    Forwards, Hubs, InterestObserver, NodeTopics, Publisher, RemoteForward, Topic, TopicKey, lock,
+    Hubs, InterestObserver, NodeTopics, Publisher, RemoteForward, Topic, TopicKey, TopicTap, lock,
 };
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::platform;
@@ -100,7 +100,8 @@ pub(crate) struct Tapped<E: Event> {
 
 impl<E: Event> Drop for Tapped<E> {
     fn drop(&mut self) {
-        self.topic.taps.remove(&self.tap);
+        let others = |known: &&TopicTap<E>| !Arc::ptr_eq(known, &self.tap);
+        self.topic.taps.change(|all| all.iter().filter(others).cloned().collect());
         let is_last = self.topic.remove_listener();
         self.topic.listener_changed(&self.listener, false, is_last);
     }
@@ -144,11 +145,11 @@ impl Topics {
             key: key.clone(),
             id: NEXT.fetch_add(1, Relaxed),
             hubs: Mutex::new(Hubs { list: Arc::new([]), next: 0 }),
-            forwards: Forwards::default(),
+            forwards: SharedList::default(),
             listeners: AtomicU64::new(0),
             latch: Mutex::default(),
             traffic: Traffic::new(platform::now(), self.node.clone()),
-            taps: TopicTaps::default(),
+            taps: SharedList::default(),
             matched: watch::Sender::new(0),
             node: self.node.clone(),
             complained: AtomicBool::new(false),
@@ -179,7 +180,7 @@ impl Topics {
         tap: TopicTap<E>,
     ) -> Result<Tapped<E>, DeliveryError> {
         let topic: Arc<Topic<E>> = self.topic(name, Location::caller())?;
-        topic.taps.add(tap.clone());
+        topic.taps.change(|all| all.iter().cloned().chain([tap.clone()]).collect());
         let is_first = topic.add_listener(&lock(&topic.latch));
         topic.listener_changed(listener, true, is_first);
         Ok(Tapped { topic, tap, listener: listener.clone() })

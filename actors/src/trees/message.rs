@@ -5,7 +5,7 @@
 //! fields is one port, `message` or `reply`.
 
 use super::task::LeafTask;
-use crate::actuator::message_of;
+use crate::actuator::settings::message_of;
 use blastema_core::contract::layout::{Field, Fields, Layout, LayoutOf, Primitive, Shape};
 use blastema_core::{Contract, Described};
 use blastema_trees::{LeafError, Port, PortError, PortValue, Value};

@@ -17,19 +17,13 @@ use std::time::Duration;
     max_size = 1024 * 1024
 )]
 pub(crate) enum VariableRequest {
-    Read {
-        variable: VariableSelector,
-    },
-    Watch {
-        variable: VariableSelector,
-        after: u64,
-    },
+    /// What the variable is now.
+    Read { variable: VariableSelector },
+    /// What it is once its revision is above `after`.
+    Watch { variable: VariableSelector, after: u64 },
     /// The values decide what becomes of variables that await it, or none of them does. The answer
     /// to a write has the new revision, and no value.
-    Write {
-        writes: Vec<WriteEntry>,
-        decides: bool,
-    },
+    Write { writes: Vec<WriteEntry>, decides: bool },
 }
 
 /// A variable, and what its value is taken for.

@@ -46,16 +46,10 @@ enum State {
     New,
     /// It was not lost since it is there, or is back for good.
     Commanded,
-    Lost {
-        since: Instant,
-        next: usize,
-    },
+    /// Communication is lost since `since`; `next` is the rung to be entered next.
+    Lost { since: Instant, next: usize },
     /// Communication is back since `at`; the ladder stays where it is.
-    Back {
-        since: Instant,
-        next: usize,
-        at: Instant,
-    },
+    Back { since: Instant, next: usize, at: Instant },
 }
 
 impl LostCommunication {

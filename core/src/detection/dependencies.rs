@@ -16,7 +16,7 @@ pub enum DependencyError {
     /// An object depends on what this node does not have.
     #[error(
         "{name} depends on {needed:?}, which is no object of this node ({}): correct the name, or add it before",
-        hint(nearest.as_deref(), known)
+        hint(nearest.as_deref(), &known.0, known.1)
     )]
     Unknown {
         /// The object that declares the dependency.
@@ -56,7 +56,7 @@ pub enum DependencyError {
 /// So many objects are named to a user who named none of them.
 const KNOWN_MAX: usize = 10;
 
-fn hint(nearest: Option<&str>, (known, more): &(Vec<ObjectName>, usize)) -> String {
+fn hint(nearest: Option<&str>, known: &[ObjectName], more: usize) -> String {
     let known = known.iter().map(ObjectName::as_str).collect::<Vec<_>>().join(", ");
     match (nearest, known.is_empty(), more) {
         (Some(word), ..) => format!("did you mean {word:?}?"),

@@ -195,7 +195,7 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
             self.by_peer.insert(node, number);
             peer = Some(node);
         }
-        self.add(number, link, (address, peer, false));
+        self.add(number, link, address, peer, false);
         self.collect(now);
         Ok(())
     }
@@ -218,13 +218,19 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
         };
         link.handle_authenticated(channel.incarnation, now);
         self.by_peer.insert(peer, number);
-        self.add(number, link, (address, Some(peer), true));
+        self.add(number, link, address, Some(peer), true);
         self.collect(now);
         true
     }
 
-    fn add(&mut self, number: LinkId, link: Link, end: (A, Option<NodeId>, bool)) {
-        let (address, peer, dialed_in) = end;
+    fn add(
+        &mut self,
+        number: LinkId,
+        link: Link,
+        address: A,
+        peer: Option<NodeId>,
+        dialed_in: bool,
+    ) {
         self.by_address.insert(address.clone(), number);
         let (adopted, traffic) = (None, LinkTraffic::default());
         self.ends.insert(number, LinkEnd { address, peer, adopted, dialed_in, traffic });

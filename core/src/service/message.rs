@@ -50,24 +50,24 @@ pub(super) enum StandbyStatus {
 /// A message from one replica to another.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum Message {
+    /// The primary's sign of life.
     Heartbeat(ReplicaHeartbeat),
+    /// A standby's answer to it.
     LeasePromise(LeasePromise),
     /// The epoch of the receiver's heartbeat is outdated: this is the current one.
-    Outdated {
-        epoch: u64,
-    },
+    Outdated { epoch: u64 },
     /// The sender has already voted in this epoch: the receiver needs a greater one.
-    Voted {
-        epoch: u64,
-    },
+    Voted { epoch: u64 },
+    /// The sender wants to become primary.
     VoteRequest(VoteRequest),
+    /// The answer to a vote request.
     Vote(Vote),
+    /// The next entry of the log.
     Entry(LogEntry),
+    /// The whole state, for a standby that is behind.
     Snapshot(Snapshot),
     /// The primary of this epoch has resigned: lease promises to it are void.
-    Resigned {
-        epoch: u64,
-    },
+    Resigned { epoch: u64 },
 }
 
 /// The primary's periodic sign of life, which asks for a [`LeasePromise`].

@@ -1,7 +1,8 @@
 //! What a strategy can do.
 
 use super::SafeOutputs;
-use crate::fault_chain::directory::SupervisorDirectory;
+use crate::fault_chain::supervisor::SupervisorActor;
+use crate::fault_chain::supervisor::directory::SupervisorDirectory;
 use crate::messaging::sender::Sender;
 use crate::registry::Registry;
 use actix::prelude::*;
@@ -54,7 +55,10 @@ impl StrategyContext {
             RecoveryAction::Restart => self.restart(fault).await,
             RecoveryAction::MoveToOwnThread => self.move_to_own_thread(fault).await,
             RecoveryAction::Reroute => self.reroute(&fault.location).await,
-            RecoveryAction::Isolate => self.isolate_because(fault).await,
+            RecoveryAction::Isolate => {
+                let (faulty, cause) = (Some(fault.incarnation), fault.as_reason());
+                self.set_isolated(&fault.location, faulty, true, &cause).await
+            }
             RecoveryAction::SafeStop => self.safe_stop(fault).await,
             other => Err(format!("there is no strategy {other:?}").into()),
         }
@@ -114,15 +118,6 @@ impl StrategyContext {
     /// As [`isolate`](StrategyContext::isolate).
     pub async fn admit(&self, location: &FaultLocation) -> Result<RecoveryDone, RecoveryFailed> {
         self.set_isolated(location, None, false, "a recovery strategy says so").await
-    }
-
-    /// Isolates where the fault is.
-    pub(crate) async fn isolate_because(
-        &self,
-        fault: &Fault,
-    ) -> Result<RecoveryDone, RecoveryFailed> {
-        let cause = fault.as_reason();
-        self.set_isolated(&fault.location, Some(fault.incarnation), true, &cause).await
     }
 
     /// Finds another way over the network than this link, or to this node.
@@ -208,7 +203,7 @@ impl StrategyContext {
     fn supervisor(
         &self,
         location: &FaultLocation,
-    ) -> Result<(ObjectName, Recipient<ChildRequest>), RecoveryFailed> {
+    ) -> Result<(ObjectName, Addr<SupervisorActor>), RecoveryFailed> {
         let FaultLocation::Object(address) = location else {
             return Err(format!("{location} is no object").into());
         };
@@ -217,7 +212,7 @@ impl StrategyContext {
         }
         let supervisor = self.0.directory.supervisor_of(&address.object);
         let supervisor = supervisor.ok_or_else(|| format!("no supervisor keeps {address}"))?;
-        Ok((address.object.clone(), supervisor.requests.clone()))
+        Ok((address.object.clone(), supervisor))
     }
 }
 

@@ -22,7 +22,7 @@ impl Handler<ChildRequest> for SupervisorActor {
             }
             // No restart that a budget counts, because nothing has failed.
             ChildAction::Move(fault) => {
-                if let Some(child) = self.child(&object)
+                if let Some(child) = self.children.get_mut(&object)
                     && let Err(reason) = child.move_to_own_thread()
                 {
                     let why = GiveUpReason::StartFailed { reason: reason.to_owned() };

@@ -43,7 +43,7 @@ impl Handler<ReadTree> for SupervisorActor {
             .collect();
         PendingAnswer::new(async move {
             for (at, supervisor) in below {
-                let read = supervisor.read.send(ReadTree).timeout(READ_LIMIT).await;
+                let read = supervisor.send(ReadTree).timeout(READ_LIMIT).await;
                 branch.children[at].below = read.ok();
             }
             branch

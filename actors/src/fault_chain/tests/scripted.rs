@@ -1,6 +1,6 @@
 //! Children that follow the script of a test, and the neighbours of a supervisor.
 
-use crate::fault_chain::directory::SupervisorDirectory;
+use crate::fault_chain::supervisor::directory::SupervisorDirectory;
 use crate::fault_chain::supervisor::{
     SupervisorActor, SupervisorChild, SupervisorNeighbours, SupervisorSetup,
 };

@@ -16,13 +16,12 @@ const SLOTS_MAX: usize = 4;
 
 /// What is in service.
 pub(super) enum Service {
+    /// Nothing is served.
     Idle,
     /// A message, in the slot of this number. If a followed one brings death, it is blamed by its
     /// identity.
-    Message {
-        at: usize,
-        is_followed: bool,
-    },
+    Message { at: usize, is_followed: bool },
+    /// A hook of the component, as its future.
     Hook(Hook, Pin<Box<dyn Future<Output = Result<(), Failure>>>>),
 }
 

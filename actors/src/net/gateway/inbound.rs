@@ -33,7 +33,7 @@ pub(super) struct InboundBacklog {
     backlog: ReceiveBacklog<Held>,
     /// Who waits for room, for each line.
     watches: SortedMap<(NodeId, ObjectName), Watch>,
-    complaints: RefusalAlarms<NodeId>,
+    alarms: RefusalAlarms<NodeId>,
 }
 
 /// A message that waits.
@@ -67,7 +67,7 @@ impl ObjectGateway {
             let bound = PeerBinding { object: object.clone(), skeleton, newest };
             self.skeletons.insert((peer, binding), bound);
         };
-        let result = match self.wiring.registry.skeleton(object, &identity.name) {
+        let result = match self.setup.registry.skeleton(object, &identity.name) {
             Err(why) => Err((why, None)),
             Ok((known, skeleton)) => match (known.check(identity), skeleton.former(identity)) {
                 (Ok(()), _) => {
@@ -82,7 +82,7 @@ impl ObjectGateway {
                 }
                 (Err(difference), None) => {
                     let difference = difference.to_string();
-                    let record = self.exchange.peers.get_mut(peer);
+                    let record = self.protocol.peers.get_mut(peer);
                     if record.is_some_and(|record| record.differs(&difference)) {
                         error!(%object, "a peer's contract differs: {difference}");
                     }
@@ -91,7 +91,7 @@ impl ObjectGateway {
                 }
             },
         };
-        self.exchange.handle_bound(peer, epoch, binding, result);
+        self.protocol.handle_bound(peer, epoch, binding, result);
     }
 
     pub(super) fn serve(
@@ -151,7 +151,7 @@ impl ObjectGateway {
         match self.queues.backlog.handle_full(peer, &object, binding, held, bytes) {
             BacklogVerdict::First => {
                 debug!(%peer, %object, "full: the peer is told to stop");
-                self.exchange.handle_full(peer, binding);
+                self.protocol.handle_full(peer, binding);
                 self.watch(peer, object, space);
             }
             BacklogVerdict::Behind => {}
@@ -161,7 +161,7 @@ impl ObjectGateway {
 
     fn watch(&mut self, peer: NodeId, object: ObjectName, space: CapacityFuture) {
         let (stack, found) =
-            (self.wiring.stack.clone(), LocalInput::Capacity { peer, object: object.clone() });
+            (self.setup.stack.clone(), LocalInput::Capacity { peer, object: object.clone() });
         let waits = actix_rt::spawn(async move {
             space.await;
             stack.do_send(found);
@@ -199,7 +199,7 @@ impl ObjectGateway {
             }
             if let Some(binding) = self.queues.backlog.handle_taken(peer, &object) {
                 self.queues.watches.remove(&(peer, object));
-                self.exchange.handle_capacity(peer, binding);
+                self.protocol.handle_capacity(peer, binding);
                 return;
             }
         }
@@ -223,9 +223,9 @@ impl ObjectGateway {
     /// Raises an alarm for a peer that sends on for seconds although it was told to stop, and
     /// clears it when none did for a while.
     pub(super) fn look_at_refusals(&mut self) {
-        let InboundBacklog { backlog, complaints, .. } = &mut self.queues;
-        for (peer, since) in complaints.handle_look(backlog.refusals()) {
-            let node = self.exchange.peers.name(peer);
+        let InboundBacklog { backlog, alarms, .. } = &mut self.queues;
+        for (peer, since) in alarms.handle_look(backlog.refusals()) {
+            let node = self.protocol.peers.name(peer);
             let lost = since.too_large;
             let detail = format!(
                 "{node} does not stop sending to objects that have no room, as it was told: {lost} \
@@ -233,7 +233,7 @@ impl ObjectGateway {
             );
             warn!("{detail}");
             self.offends(peer, "it did not stop sending to what has no room");
-            self.wiring.faults.declare_passing(FaultKind::CheckFailed, detail);
+            self.setup.faults.declare_passing(FaultKind::CheckFailed, detail);
         }
     }
 }

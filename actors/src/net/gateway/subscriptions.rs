@@ -132,12 +132,12 @@ impl ObjectGateway {
     ) {
         let key = match TopicKey::new(&topic.topic, &topic.contract) {
             Ok(key) => key,
-            Err(why) => return self.exchange.handle_subscribe_refused(peer, subscription, why),
+            Err(why) => return self.protocol.handle_subscribe_refused(peer, subscription, why),
         };
         // Whether it wants the newest only must be known before the first event.
         let class = theirs.first().and_then(|theirs| event_stream(theirs.delivery, theirs.bulk));
         let wanted = theirs.clone();
-        let (by, unverified) = match self.wiring.topics.identities(&key.topic).first() {
+        let (by, unverified) = match self.setup.topics.identities(&key.topic).first() {
             None => ((subscription, class), Some(theirs)),
             Some(ours) => match version_of(ours, &theirs) {
                 Ok(form) => (
@@ -148,23 +148,23 @@ impl ObjectGateway {
                     let difference = self.topic_differs(peer, &key, ours, &theirs, &difference);
                     self.differs(peer, &difference);
                     let why = DeliveryError::ContractDiffers { difference };
-                    self.exchange.handle_subscribe_refused(peer, subscription, why);
+                    self.protocol.handle_subscribe_refused(peer, subscription, why);
                     return;
                 }
             },
         };
-        let Some(node) = self.exchange.peers.get(peer).map(|peer| peer.node.clone()) else {
+        let Some(node) = self.protocol.peers.get(peer).map(|peer| peer.node.clone()) else {
             return;
         };
-        let send_state = self.wiring.stubs.send_state(&node);
-        let (losses, gateway) = (self.losses(&node, &key), self.wiring.stack.clone());
+        let send_state = self.setup.stubs.send_state(&node);
+        let (losses, gateway) = (self.losses(&node, &key), self.setup.stack.clone());
         let target = ForwardTarget { gateway, peer, subscription, losses: losses.clone() };
         let credit = send_state.credits().sender(by.1);
         let forward = PeerForward { target, send_state, class: by.1, credit };
         let forward: RemoteForward = Arc::new(forward);
         self.end_forward((peer, subscription));
         let before = self.past.get(&(peer, key.topic.clone())).map(|past| &past.id);
-        let id = self.wiring.topics.forward(&key, node, wanted, forward, before);
+        let id = self.setup.topics.forward(&key, node, wanted, forward, before);
         let forwarded = Forwarded { id, key: key.clone(), unverified, by, losses };
         self.forwards.insert((peer, subscription), forwarded);
         // An object may have named the topic just now.
@@ -173,7 +173,7 @@ impl ObjectGateway {
 
     pub(super) fn end_forward(&mut self, forward: (NodeId, u32)) -> Option<Forwarded> {
         let ended = self.forwards.remove(&forward)?;
-        self.wiring.topics.end_forward(&ended.id);
+        self.setup.topics.end_forward(&ended.id);
         Some(ended)
     }
 
@@ -181,7 +181,7 @@ impl ObjectGateway {
     /// had no contract here yet. It has one once an object here has named it, before its first
     /// event.
     pub(super) fn compare_forwards(&mut self, key: &TopicKey) {
-        let identities = self.wiring.topics.identities(&key.topic);
+        let identities = self.setup.topics.identities(&key.topic);
         let Some(ours) = identities.first() else { return };
         let mut differing = Vec::new();
         for (forward, known) in &mut self.forwards {
@@ -201,7 +201,7 @@ impl ObjectGateway {
             self.differs(peer, &difference);
             self.end_forward(forward);
             let why = DeliveryError::ContractDiffers { difference };
-            self.exchange.handle_subscribe_refused(peer, subscription, why);
+            self.protocol.handle_subscribe_refused(peer, subscription, why);
         }
     }
 
@@ -214,8 +214,8 @@ impl ObjectGateway {
         theirs: &[PeerIdentity],
         difference: &str,
     ) -> String {
-        let here = self.wiring.registry.node().map_or("this node".into(), |node| node.to_string());
-        let there = self.exchange.peers.name(peer);
+        let here = self.setup.registry.node().map_or("this node".into(), |node| node.to_string());
+        let there = self.protocol.peers.name(peer);
         let carried = described(&ours.brief());
         let wanted = theirs.first().map_or_else(String::new, described);
         format!(
@@ -227,7 +227,7 @@ impl ObjectGateway {
 
     /// What this peer does not get of the topic.
     pub(super) fn losses(&self, node: &NodeName, key: &TopicKey) -> Arc<UndeliveredEvents> {
-        Arc::new(UndeliveredEvents::new(self.wiring.dead_letters.clone(), node, key))
+        Arc::new(UndeliveredEvents::new(self.setup.dead_letters.clone(), node, key))
     }
 
     /// Records in the dead-letter log the losses counted since the last call.
@@ -243,8 +243,8 @@ impl ObjectGateway {
         let Some(ended) = self.forwards.remove(&forward) else { return };
         ended.losses.end(why.into());
         let is_away = matches!(why, DeliveryError::Left { .. })
-            || self.wiring.may_be_away.contains(&ended.losses.node);
-        let (is_kept, topics) = (self.past.len() < PAST_MAX, &self.wiring.topics);
+            || self.setup.may_be_away.contains(&ended.losses.node);
+        let (is_kept, topics) = (self.past.len() < PAST_MAX, &self.setup.topics);
         match is_kept && !is_away {
             true => topics.renew_forwards(&ended.key.topic),
             false => topics.end_forward(&ended.id),
@@ -257,13 +257,10 @@ impl ObjectGateway {
 
     /// The peer has told what it listens to: what it listened to before is over.
     pub(super) fn forget_past(&mut self, peer: NodeId) {
-        let topics = &self.wiring.topics;
-        self.past.retain(|(of, _), past| {
-            if *of == peer {
-                topics.end_forward(&past.id);
-            }
-            *of != peer
-        });
+        for (_, past) in self.past.iter().filter(|((of, _), _)| *of == peer) {
+            self.setup.topics.end_forward(&past.id);
+        }
+        self.past.retain(|(of, _), _| *of != peer);
     }
 
     /// Counts a message to this peer that did not arrive, or perhaps not.
@@ -275,7 +272,7 @@ impl ObjectGateway {
     ) {
         match to {
             MessageTarget::Object(object, contract) => {
-                let known = self.exchange.peers.get_mut(peer);
+                let known = self.protocol.peers.get_mut(peer);
                 let node = known.map(|known| {
                     let by_session = [DeadReason::Unreachable, DeadReason::PeerDied];
                     // The middleware's own are repeated.
@@ -283,7 +280,7 @@ impl ObjectGateway {
                     known.lost += u64::from(is_lost && by_session.contains(&why.into()));
                     known.node.clone()
                 });
-                self.wiring.dead_letters.take_for(node, &object, contract, why);
+                self.setup.dead_letters.take_for(node, &object, contract, why);
             }
             MessageTarget::Subscription(number) => match self.losses_under(peer, number) {
                 Some(losses) => losses.write_down(why.into(), 1),
@@ -298,8 +295,8 @@ impl ObjectGateway {
     /// Reports how many accepted messages were lost with the sessions of each peer, until a session
     /// is open with it and no more are found.
     pub(super) fn look_at_losses(&mut self) {
-        let Some(nodes) = &self.wiring.nodes else { return };
-        for (_, peer) in self.exchange.peers.iter_mut().filter(|(_, peer)| peer.lost > 0) {
+        let Some(nodes) = &self.setup.nodes else { return };
+        for (_, peer) in self.protocol.peers.iter_mut().filter(|(_, peer)| peer.lost > 0) {
             let found = peer.lost;
             let condition = if found > peer.lost_reported {
                 peer.lost_reported = found;
@@ -310,7 +307,7 @@ impl ObjectGateway {
                 );
                 warn!("{detail}");
                 NodeCondition::MessagesLost { detail }
-            } else if self.wiring.stubs.send_state(&peer.node).has_session() {
+            } else if self.setup.stubs.send_state(&peer.node).has_session() {
                 (peer.lost, peer.lost_reported) = (0, 0);
                 NodeCondition::InSession
             } else {
@@ -323,7 +320,7 @@ impl ObjectGateway {
 
     /// Declares the topics that lose more than a share of their events for lack of capacity.
     pub(super) fn look_at_topics(&self) {
-        for (topic, [events, lost]) in self.wiring.topics.take_losses() {
+        for (topic, [events, lost]) in self.setup.topics.take_losses() {
             if lost < LOST_MIN || lost * LOST_SHARE < events {
                 continue;
             }
@@ -332,7 +329,7 @@ impl ObjectGateway {
                  or on the way to another node: publish less, use `deliver`, or make the listeners' \
                  queues larger; the dead letters name who lost them"
             );
-            self.wiring.faults.declare_passing(FaultKind::Overload, detail);
+            self.setup.faults.declare_passing(FaultKind::Overload, detail);
         }
     }
 

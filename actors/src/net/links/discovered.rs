@@ -52,7 +52,7 @@ pub(super) struct NetworkDiscovery {
     machine: Discovery,
     /// The numbers of links that it may make.
     numbers: Vec<LinkId>,
-    complaints: RefusalAlarms<()>,
+    alarms: RefusalAlarms<()>,
     /// Those of the pairs, where nodes have keys.
     keys: Option<BeaconKeys>,
     /// The port at which the network is open, for beacons.
@@ -72,7 +72,7 @@ impl NetworkDiscovery {
             spec,
             machine,
             numbers,
-            complaints: RefusalAlarms::default(),
+            alarms: RefusalAlarms::default(),
             keys: keys.map(NodeKeys::beacon_keys),
             port: None,
         }
@@ -82,7 +82,7 @@ impl NetworkDiscovery {
     pub(super) fn restart<'a>(&mut self, links: impl Iterator<Item = (LinkId, &'a LinkSpec)>) {
         let (config, now) = (self.spec.admission.clone(), platform::now());
         self.machine = Discovery::new(DiscoveryConfig::new(self.node.clone(), config));
-        self.complaints = RefusalAlarms::default();
+        self.alarms = RefusalAlarms::default();
         for (number, LinkSpec { neighbour, remote, .. }) in links {
             let Some(node) = neighbour.clone() else { continue };
             match self.numbers.contains(&number) {
@@ -197,12 +197,10 @@ impl Handler<TransportReport> for BeaconReceiver {
 #[derive(Message)]
 #[rtype(result = "()")]
 enum BeaconReport {
+    /// The group's socket is open.
     Opened,
     /// A beacon, or another frame to the group.
-    Received {
-        from: IpAddr,
-        frame: Bytes,
-    },
+    Received { from: IpAddr, frame: Bytes },
 }
 
 impl Handler<BeaconReport> for LinksActor {
@@ -223,23 +221,24 @@ impl LinksActor {
     /// The operators of the roster are let in from wherever they come. Links that were made for
     /// some before the links were built again are gone with them.
     pub(super) fn let_operators_dial_in(&mut self) {
-        let Some((keys, _)) = &self.wiring.seal else { return };
-        if let Err(error) = self.bundle.set_dial_in(keys.operators()) {
-            warn!(network = %self.wiring.network, "an operator cannot connect: {error}");
+        let Some((keys, _)) = &self.recipients.seal else { return };
+        if let Err(error) = self.link_layer.set_dial_in(keys.operators()) {
+            warn!(network = %self.recipients.network, "an operator cannot connect: {error}");
         }
     }
 
     /// An operator has proved itself and has no link here yet.
     pub(super) fn dialed_in(&mut self, peer: NodeId, address: MediumAddress) {
-        let node = self.wiring.seal.as_ref().and_then(|(keys, _)| keys.name_of(peer).cloned());
+        let node = self.recipients.seal.as_ref().and_then(|(keys, _)| keys.name_of(peer).cloned());
         let Some(node) = node else { return };
-        let number = self.wiring.dial_in.iter().find(|number| !self.specs.contains_key(*number));
+        let number =
+            self.recipients.dial_in.iter().find(|number| !self.specs.contains_key(*number));
         let Some(&number) = number else {
-            debug!(network = %self.wiring.network, %node, "{DIALED_IN_MAX} operators are connected");
+            debug!(network = %self.recipients.network, %node, "{DIALED_IN_MAX} operators are connected");
             return;
         };
         let spec = LinkSpec {
-            name: format!("{}/{node}", self.wiring.network).into(),
+            name: format!("{}/{node}", self.recipients.network).into(),
             remote: address.clone(),
             neighbour: Some(node.clone()),
             cost: None,
@@ -247,19 +246,19 @@ impl LinksActor {
             expected_within: PEER_TIMEOUT,
         };
         let now = platform::now();
-        let link = super::link(&self.wiring, &spec, now);
-        if self.bundle.insert_dialed_in(number, link, peer, address.clone(), now) {
-            info!(network = %self.wiring.network, %node, %address, "an operator connects");
+        let link = super::link(&self.recipients, &spec, now);
+        if self.link_layer.insert_dialed_in(number, link, peer, address.clone(), now) {
+            info!(network = %self.recipients.network, %node, %address, "an operator connects");
             self.specs.insert(number, spec);
         } else {
             // It is told with each frame; a medium with connections needs the operator's address.
-            debug!(network = %self.wiring.network, %node, %address, "no link to the operator");
+            debug!(network = %self.recipients.network, %node, %address, "no link to the operator");
         }
     }
 
     /// Forgets such links before the links are built again: operators connect again.
     pub(super) fn forget_dialed_in(&mut self) {
-        let numbers = self.wiring.dial_in.clone().into_iter();
+        let numbers = self.recipients.dial_in.clone().into_iter();
         let numbers: Vec<_> = numbers.filter(|number| self.specs.contains_key(number)).collect();
         numbers.into_iter().for_each(|number| self.remove(number));
     }
@@ -283,12 +282,12 @@ impl LinksActor {
         discovery.say_beacons();
         discovery.machine.handle_time(platform::now());
         let refusals = discovery.machine.refusals();
-        for ((), since) in discovery.complaints.handle_look([((), refusals)]) {
+        for ((), since) in discovery.alarms.handle_look([((), refusals)]) {
             let detail = format!(
                 "of the neighbours that are told by beacons, many are refused all the time: {since}"
             );
             warn!("{detail}");
-            self.wiring.faults.declare_passing(FaultKind::CheckFailed, detail);
+            self.recipients.faults.declare_passing(FaultKind::CheckFailed, detail);
         }
         self.follow_discovery();
     }
@@ -310,10 +309,10 @@ impl LinksActor {
         let remote = address.parse().map(MediumAddress::Ip);
         let (Some(&number), Ok(remote)) = (free, remote) else { return };
         // Where a link leads already, none is needed.
-        if self.bundle.link_at(&remote).is_some() {
+        if self.link_layer.link_at(&remote).is_some() {
             return;
         }
-        let network = self.wiring.network.clone();
+        let network = self.recipients.network.clone();
         info!(%network, %node, %remote, "a neighbour is learned of");
         let spec = LinkSpec {
             name: format!("{network}/{node}").into(),
@@ -331,7 +330,7 @@ impl LinksActor {
     }
 
     fn disconnect(&mut self, node: &NodeName) {
-        info!(network = %self.wiring.network, %node, "a neighbour that was learned of is given up");
+        info!(network = %self.recipients.network, %node, "a neighbour that was learned of is given up");
         let Some(discovery) = &self.discovery else { return };
         let leads_there = |number: &&LinkId| {
             self.specs.get(*number).is_some_and(|spec| spec.neighbour.as_ref() == Some(node))
@@ -346,10 +345,10 @@ impl LinksActor {
         if let Some(status) = self.reported.remove(&number) {
             let status = LinkStatus { health: LinkHealth::Down, ..status };
             let remote = self.remote(number);
-            self.wiring.router_changes.do_send(LinkChanged { link: number, status, remote });
+            self.recipients.router_changes.do_send(LinkChanged { link: number, status, remote });
         }
         self.tell_monitor(number, LinkCondition::Forgotten);
-        self.bundle.remove(number);
+        self.link_layer.remove(number);
         self.free_names(|names| names.forget(number));
         self.specs.remove(&number);
     }
@@ -357,14 +356,15 @@ impl LinksActor {
     /// Tells discovery whether a link is up, and with whom.
     pub(super) fn tell_discovery(&mut self, number: LinkId, state: LinkState) {
         // An operator dials in again by itself.
-        let described = self.specs.get(&number).filter(|_| !self.wiring.dial_in.contains(&number));
+        let described =
+            self.specs.get(&number).filter(|_| !self.recipients.dial_in.contains(&number));
         let (Some(discovery), Some(spec)) = (&mut self.discovery, described) else { return };
         let up = match state {
             LinkState::Up => true,
             LinkState::Down => false,
             LinkState::Connecting | LinkState::Suspect => return,
         };
-        let peer = self.bundle.get(number).and_then(|link| link.neighbour());
+        let peer = self.link_layer.get(number).and_then(|link| link.neighbour());
         let node = peer.map(|peer| peer.node.clone()).or(spec.neighbour.clone());
         if let Some(node) = node {
             discovery.machine.handle_link(node, spec.remote.to_string(), up, platform::now());

@@ -45,19 +45,19 @@ impl LinksActor {
     /// Frames that are refused for seconds are a fault until none was refused for a while: another
     /// node sends with the neighbour's address, or the neighbour is broken.
     pub(super) fn look_at_refusals(&mut self) {
-        let links = self.bundle.iter().map(|(number, _)| number);
-        let links = links.map(|number| (Some(number), self.bundle.refused_of(number)));
-        let others = match self.bundle.seal_refusals() {
+        let links = self.link_layer.iter().map(|(number, _)| number);
+        let links = links.map(|number| (Some(number), self.link_layer.refused_of(number)));
+        let others = match self.link_layer.seal_refusals() {
             Some(refusals) => Refusals { unexpected: refusals.total(), ..Refusals::default() },
-            None => self.bundle.strangers(),
+            None => self.link_layer.strangers(),
         };
-        for (number, since) in self.complaints.handle_look(links.chain([(None, others)])) {
-            let network = &self.wiring.network;
+        for (number, since) in self.alarms.handle_look(links.chain([(None, others)])) {
+            let network = &self.recipients.network;
             let detail = match number.and_then(|number| self.specs.get(&number)) {
                 Some(LinkSpec { name, remote, .. }) => format!(
                     "what comes from {remote}, by link {name}, is refused all the time: {since}"
                 ),
-                None if self.bundle.is_sealed() => format!(
+                None if self.link_layer.is_sealed() => format!(
                     "{} frames in a second on network {network} that no node of this robot has \
                      sealed: another station sends there, or a node has other keys; their addresses \
                      may be forged",
@@ -69,19 +69,19 @@ impl LinksActor {
                 ),
             };
             warn!(%network, "{detail}");
-            self.wiring.faults.declare_passing(FaultKind::CheckFailed, detail);
+            self.recipients.faults.declare_passing(FaultKind::CheckFailed, detail);
         }
     }
 
     /// Two nodes have one address on the medium, which is ours: its owner is reported, too.
     pub(super) fn clash(&self, detail: String) {
-        error!(network = %self.wiring.network, "{detail}");
-        self.wiring.faults.declare(FaultKind::NameTaken, detail);
+        error!(network = %self.recipients.network, "{detail}");
+        self.recipients.faults.declare(FaultKind::NameTaken, detail);
     }
 
     /// The neighbour never came. Reports the link as down; that it is up is reported when it comes.
     pub(super) fn missing(&mut self, number: LinkId, hello_received: bool) {
-        if self.wiring.dial_in.contains(&number) {
+        if self.recipients.dial_in.contains(&number) {
             return self.remove(number);
         }
         if self.medium.mtu.is_none() {
@@ -92,8 +92,8 @@ impl LinksActor {
         let Some(spec) = self.specs.get(&number) else { return };
         let who = spec.neighbour.as_ref().map_or("the neighbour", |node| node.as_str());
         let remote = &spec.remote;
-        let unsealed = self.bundle.seal_refusals().map(SealRefusals::total);
-        let refusals = self.bundle.refused_of(number);
+        let unsealed = self.link_layer.seal_refusals().map(SealRefusals::total);
+        let refusals = self.link_layer.refused_of(number);
         let reason = match unsealed {
             _ if hello_received => format!(
                 "{who} is heard since the start, and does not hear us: check its address for us"
@@ -116,13 +116,14 @@ impl LinksActor {
                  `blastema keys show`"
             ),
         };
-        warn!(network = %self.wiring.network, link = %spec.name, "{reason}");
+        warn!(network = %self.recipients.network, link = %spec.name, "{reason}");
         self.tell_monitor(number, LinkCondition::Down { reason });
     }
 
     /// Reports how a link that carries is.
     pub(super) fn tell_condition(&self, number: LinkId) {
-        let (Some(link), Some(spec)) = (self.bundle.get(number), self.specs.get(&number)) else {
+        let (Some(link), Some(spec)) = (self.link_layer.get(number), self.specs.get(&number))
+        else {
             return;
         };
         let Quality { round_trip, loss_permille, degraded, .. } = link.quality();
@@ -133,7 +134,7 @@ impl LinksActor {
         });
         let narrow = link.shortfall().map(|sizes| {
             let (passes, configured) = sizes;
-            let [passes, configured] = [passes, configured].map(|size| size + self.bundle.overhead());
+            let [passes, configured] = [passes, configured].map(|size| size + self.link_layer.overhead());
             format!(
                 "the path to {} drops frames of {configured} bytes, the network's mtu, and carries \
                  {passes}, as large as they are sent now: check the VPN or tunnel on the path, or set \
@@ -156,7 +157,8 @@ impl LinksActor {
         number: LinkId,
         open: Incarnation,
         refused: Incarnation,
-        [at, address]: [&MediumAddress; 2],
+        at: &MediumAddress,
+        address: &MediumAddress,
     ) {
         if self.names.keys_in_use.insert(number, platform::now()).is_some() {
             return;
@@ -170,27 +172,27 @@ impl LinksActor {
              {refused} at {address}, which is told to stop: two processes, perhaps of two computers, have \
              one key file; give one of them a key of its own"
         );
-        error!(network = %self.wiring.network, link = %spec.name, "{detail}");
-        self.wiring.faults.declare(FaultKind::NameTaken, detail);
+        error!(network = %self.recipients.network, link = %spec.name, "{detail}");
+        self.recipients.faults.declare(FaultKind::NameTaken, detail);
     }
 
     /// The neighbour reaches another process with this node's name, which answers.
     pub(super) fn taken(&self, number: LinkId, holder: &NameHolder) {
         let NameHolder { incarnation, address } = holder;
-        let (node, own) = (&self.wiring.node, self.wiring.incarnation);
+        let (node, own) = (&self.recipients.node, self.recipients.incarnation);
         let local = &self.medium.local;
         // The neighbour may know no other address of that name.
         let address: &str = if address == local { NameHolder::NOWHERE } else { address };
-        let neighbour = self.bundle.get(number).and_then(Link::neighbour);
+        let neighbour = self.link_layer.get(number).and_then(Link::neighbour);
         let neighbour = neighbour.map(|neighbour| neighbour.node.clone());
         let neighbour =
             neighbour.or(self.specs.get(&number).and_then(|spec| spec.neighbour.clone()));
         let neighbour = neighbour.as_ref().map_or("the neighbour", |node| node.as_str());
-        let cure = match self.wiring.seal {
+        let cure = match self.recipients.seal {
             Some(_) => "end one of them, or give it a key file of its own",
             None => "end one of them, or give it another name",
         };
-        self.wiring.own_name.set_taken(format!(
+        self.recipients.own_name.set_taken(format!(
             "this process, {node} as {own} at {local}, stops: {neighbour} reaches another process called \
              {node} at {address}, as {incarnation}, which answers; {cure}"
         ));
@@ -212,18 +214,18 @@ impl LinksActor {
         let were_taken = self.names.are_taken();
         free(&mut self.names);
         if were_taken && !self.names.are_taken() {
-            self.wiring.faults.clear(FaultKind::NameTaken);
+            self.recipients.faults.clear(FaultKind::NameTaken);
         }
     }
 
     pub(super) fn refused(&mut self, number: LinkId, refusal: &PeerRefusal) {
         let link = self.specs.get(&number).map(|spec| spec.name.clone()).unwrap_or_default();
-        error!(network = %self.wiring.network, %link, "{refusal}");
+        error!(network = %self.recipients.network, %link, "{refusal}");
         self.tell_monitor(number, LinkCondition::Down { reason: refusal.to_string() });
         if let PeerRefusal::NameTaken { .. } | PeerRefusal::NumberTaken { .. } = refusal {
             self.names.namesakes.insert(number);
             let detail = format!("{refusal}, at the other end of {link}: give one another name");
-            self.wiring.faults.declare(FaultKind::NameTaken, detail);
+            self.recipients.faults.declare(FaultKind::NameTaken, detail);
         }
     }
 }

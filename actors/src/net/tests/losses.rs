@@ -92,7 +92,7 @@ async fn what_was_under_way_when_the_stack_panicked_is_counted() {
             if has_ended {
                 // The session has returned its messages, and the gateway does not have them.
                 let right = NodeId::of(&NodeName::new("right").unwrap());
-                let peer = stack.floors.gateway.exchange.peers.get_mut(right).unwrap();
+                let peer = stack.floors.gateway.protocol.peers.get_mut(right).unwrap();
                 peer.session.handle_incarnation(Incarnation(2), platform::now());
             }
             panic!("the sessions panic on purpose");

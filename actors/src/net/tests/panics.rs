@@ -84,7 +84,7 @@ async fn a_request_is_resolved_whose_resolution_a_panic_has_lost() {
 
     left.net.on_stack(|stack| {
         stack.floors.gateway.handle_send(request);
-        let output = stack.floors.gateway.exchange.poll_output();
+        let output = stack.floors.gateway.protocol.poll_output();
         panic!("{output:?} panics on purpose");
     });
     settle().await;
@@ -119,7 +119,7 @@ async fn a_node_leaves_in_order_although_its_stack_panics_meanwhile() {
             left.net.on_stack(|stack| {
                 stack.floors.gateway.handle_send(message);
                 // The peer is not asked, and does not agree to the contract.
-                while stack.floors.gateway.exchange.poll_output().is_some() {}
+                while stack.floors.gateway.protocol.poll_output().is_some() {}
             });
         }
 
@@ -147,7 +147,7 @@ async fn what_a_session_does_about_segments_comes_before_a_path_that_is_lost_lat
     left.net.on_stack(move |stack| {
         let (floors, right, now) = (&mut stack.floors, named("right"), platform::now());
         let id = NodeId::of(&right);
-        floors.gateway.exchange.peers.get_mut(id).unwrap().session.handle_restart(now);
+        floors.gateway.protocol.peers.get_mut(id).unwrap().session.handle_restart(now);
         floors.router.machine.handle_isolation(&right, true, now);
         floors.router.machine.verdict(id, now);
         while let Some(next) = floors.poll_output() {

@@ -284,7 +284,7 @@ fn blurt(left: &Module, count: usize) {
         for _ in 0..count {
             let (stream, key) = (TrafficClass::Request, OrderingKey::default());
             let (message, now) = (message.clone(), platform::now());
-            let right = stack.floors.gateway.exchange.peers.get_mut(peer).unwrap();
+            let right = stack.floors.gateway.protocol.peers.get_mut(peer).unwrap();
             right.session.handle_send_along(stream, key, message, None, now).unwrap();
         }
     });

@@ -5,12 +5,12 @@ use crate::actuator::ActuatorTable;
 use crate::arbiter::pool::ArbiterPool;
 use crate::component::environment::ComponentEnvironment;
 use crate::fault_chain::detection::DetectionActor;
-use crate::fault_chain::directory::SupervisorDirectory;
 use crate::fault_chain::outside::{ChainWatch, OutsideSetup};
 use crate::fault_chain::recoverer::{RecovererActor, RecovererSetup};
 use crate::fault_chain::strategy::{
     NetworkOrders, SAFE_OUTPUTS, SafeOutputs, StrategyContext, StrategyTargets, object_of,
 };
+use crate::fault_chain::supervisor::directory::SupervisorDirectory;
 use crate::liveness::sampler::SamplerGuard;
 use crate::node::builder::{FaultDescription, NodeBuilder};
 use crate::node::controller::{NodeController, NodeControllerSetup, NodeState, SubscribeSafeState};
@@ -213,10 +213,9 @@ pub(super) fn make_chain(
         safe_outputs: safe_outputs.clone(),
         rest_node: controller.clone().recipient(),
     });
-    let spec = platform::random_seed();
     let plan = faults.plan.clone();
     let setup = RecovererSetup {
-        machine: recovery::Recoverer::new(node.clone(), plan, spec),
+        machine: recovery::Recoverer::new(node.clone(), plan, platform::random_seed()),
         strategies: faults.strategies.clone(),
         context,
         detector: monitor.clone().recipient(),

@@ -10,10 +10,8 @@ use std::time::Duration;
 pub(super) enum ComponentEntry {
     /// It has nothing in service, nothing is late, and no sign is expected of it. As long as it
     /// shows this mark and its arbiter has time, there is nothing to judge.
-    Resting {
-        judged: JudgedComponent,
-        mark: ActivityMark,
-    },
+    Resting { judged: JudgedComponent, mark: ActivityMark },
+    /// It is judged at every look.
     Awake(Box<ComponentRecord>),
 }
 

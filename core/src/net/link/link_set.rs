@@ -162,16 +162,16 @@ mod tests {
 
     #[test]
     fn each_link_says_its_own_hello() {
-        let mut bundle = LinkSet::default();
+        let mut links = LinkSet::default();
         for number in 1..=2 {
             let config = LinkConfig::new(name(0), Incarnation(1));
-            bundle.insert(LinkId(number), Link::new(config, at(0)));
+            links.insert(LinkId(number), Link::new(config, at(0)));
         }
 
-        while bundle.poll_output().is_some() {}
-        bundle.handle_timeout(at(0));
+        while links.poll_output().is_some() {}
+        links.handle_timeout(at(0));
 
-        let outputs: Vec<_> = std::iter::from_fn(|| bundle.poll_output()).collect();
+        let outputs: Vec<_> = std::iter::from_fn(|| links.poll_output()).collect();
         assert!(matches!(
             &outputs[..],
             [
@@ -246,13 +246,13 @@ mod tests {
 
     #[test]
     fn a_timer_that_fires_late_shows_that_this_node_was_not_run() {
-        let mut bundle = LinkSet::default();
+        let mut links = LinkSet::default();
         let config = LinkConfig::new(name(0), Incarnation(1));
-        bundle.insert(LinkId(1), Link::new(config, at(0)));
+        links.insert(LinkId(1), Link::new(config, at(0)));
         let mut stalls = Vec::new();
         for now in [0, 50, 149, 250, 350, 400] {
-            bundle.handle_timeout(at(now));
-            let outputs = std::iter::from_fn(|| bundle.poll_output());
+            links.handle_timeout(at(now));
+            let outputs = std::iter::from_fn(|| links.poll_output());
             stalls.extend(outputs.filter_map(|output| match output {
                 LinkSetOutput::Stalled(late) => Some((now, late.as_millis())),
                 _ => None,

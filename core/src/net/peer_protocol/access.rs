@@ -111,8 +111,8 @@ impl PeerProtocol {
                     tell(subscribe(topic, interest));
                 }
             }
-            let mut ended = Vec::new();
-            subscriptions.retain(|subscription, of_peer| {
+            let (mut ended, mut again) = (Vec::new(), Vec::new());
+            for (subscription, of_peer) in &mut *subscriptions {
                 let verdict = listen(&policy, peer, &of_peer.topic);
                 let (subscription, is_refused) = (*subscription, verdict.is_err());
                 let was_refused = std::mem::replace(&mut of_peer.is_refused, is_refused);
@@ -122,11 +122,16 @@ impl PeerProtocol {
                         tell(PeerMessage::SubscribeRefused { subscription, why });
                         ended.push(subscription);
                     }
-                    Ok(()) if was_refused => tell(PeerMessage::SubscribeAgain { subscription }),
+                    Ok(()) if was_refused => {
+                        tell(PeerMessage::SubscribeAgain { subscription });
+                        again.push(subscription);
+                    }
                     _ => {}
                 }
-                is_refused || !was_refused
-            });
+            }
+            for subscription in again {
+                subscriptions.remove(&subscription);
+            }
             let ended = ended
                 .into_iter()
                 .map(|subscription| PeerProtocolOutput::Unsubscribe { peer, subscription });

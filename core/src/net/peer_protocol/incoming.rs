@@ -328,7 +328,8 @@ impl PeerProtocol {
         }
         let waiting = waiting.unwrap_or_default();
         for QueuedMessage { pending, .. } in waiting {
-            let (to, reply_as) = ((object.clone(), name), pending.map(|pending| pending.reply_as));
+            let to = MessageTarget::Object(object.clone(), name);
+            let reply_as = pending.map(|pending| pending.reply_as);
             self.outputs.push_back(refuse(peer, to, reply_as, why.clone()));
         }
     }

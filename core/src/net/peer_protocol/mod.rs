@@ -38,7 +38,7 @@ use super::wire::node_id::NodeId;
 use crate::sorted::SortedMap;
 use crate::{
     ContractIdentity, Credit, DeliveryError, GatherBuffer, Incarnation, Instant, NodeName,
-    ObjectName, TrafficClass,
+    TrafficClass,
 };
 use bytes::Bytes;
 use std::collections::VecDeque;
@@ -246,7 +246,12 @@ impl PeerProtocol {
         let Some(session) = known.and_then(|peer| peer.record.session.as_mut()) else {
             let unreachable = DeliveryError::Unreachable { node: node.to_string() };
             let why = if reachable { DeliveryError::Restarting } else { unreachable };
-            self.outputs.push_back(refuse(peer, (object, contract.name), reply_as, why));
+            self.outputs.push_back(refuse(
+                peer,
+                MessageTarget::Object(object, contract.name),
+                reply_as,
+                why,
+            ));
             return;
         };
         let key = (object, contract.name, contract.fingerprint);
@@ -357,11 +362,9 @@ impl PeerProtocol {
             let again = state.again.extract_if(.., |call| late(call.until));
             over.extend(again.filter_map(|call| call.reply_as));
             let Some(session) = &mut state.session else { continue };
-            session.calls.retain(|_, pending| {
-                let late = late(pending.until);
-                over.extend(late.then_some(pending.reply_as));
-                !late
-            });
+            let calls = session.calls.values().filter(|pending| late(pending.until));
+            over.extend(calls.map(|pending| pending.reply_as));
+            session.calls.retain(|_, pending| !late(pending.until));
         }
         for reply_as in over {
             let result = Err(DeliveryError::DeadlinePassed);
@@ -416,8 +419,9 @@ impl PeerProtocol {
         if let Some(session) = self.peers.open(peer) {
             let timestamp_us = session.timestamp_us(sent);
             let message = PeerMessage::Event { subscription, timestamp_us, payload };
-            let route = (subscription << 1, stream, OrderingKey::Subscription(subscription));
-            self.outputs.push_back(carry(peer, route, &message, credit));
+            let key = OrderingKey::Subscription(subscription);
+            let sent = carry(peer, subscription << 1, stream, key, &message, credit);
+            self.outputs.push_back(sent);
         }
     }
 
@@ -603,13 +607,13 @@ fn subscribe(topic: &TopicContract, interest: &RemoteTopic) -> PeerMessage {
 
 fn refuse(
     peer: NodeId,
-    to: (ObjectName, &'static str),
+    to: MessageTarget,
     reply_as: Option<u64>,
     why: DeliveryError,
 ) -> PeerProtocolOutput {
     match reply_as {
         Some(reply_as) => PeerProtocolOutput::Resolve { reply_as, result: Err(why) },
-        None => PeerProtocolOutput::Lost { peer, to: MessageTarget::Object(to.0, to.1), why },
+        None => PeerProtocolOutput::Lost { peer, to, why },
     }
 }
 

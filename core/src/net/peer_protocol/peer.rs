@@ -63,8 +63,15 @@ struct SessionClock {
     ages: Option<AgeEstimator>,
 }
 
-/// Its number, its stream unless only the newest counts, and with what it stays in order.
-pub(super) type BindingRoute = (u32, Option<TrafficClass>, OrderingKey);
+/// How the messages of a binding travel.
+#[derive(Clone, Copy)]
+pub(super) struct BindingRoute {
+    number: u32,
+    /// `None` if only the newest counts.
+    stream: Option<TrafficClass>,
+    /// What they stay in order with.
+    key: OrderingKey,
+}
 
 #[derive(Debug)]
 pub(super) struct Binding {
@@ -78,7 +85,7 @@ pub(super) struct Binding {
 
 impl Binding {
     pub(super) fn route(&self) -> BindingRoute {
-        (self.number, self.stream(), self.key)
+        BindingRoute { number: self.number, stream: self.stream(), key: self.key }
     }
 
     pub(super) fn stream(&self) -> Option<TrafficClass> {
@@ -173,11 +180,12 @@ impl PeerSession {
     pub(super) fn send(
         &mut self,
         peer: NodeId,
-        (binding, stream, key): BindingRoute,
+        route: BindingRoute,
         waiting: QueuedMessage,
         next_call: &mut u64,
     ) -> PeerProtocolOutput {
         let QueuedMessage { id, sent, payload, pending, credit } = waiting;
+        let BindingRoute { number: binding, stream, key } = route;
         let timestamp_us = self.timestamp_us(sent);
         let message = match pending {
             None => PeerMessage::Tell { binding, timestamp_us, id, payload },
@@ -191,7 +199,7 @@ impl PeerSession {
                 PeerMessage::Request { binding, call, timestamp, within, id, payload }
             }
         };
-        carry(peer, ((binding << 1) | 1, stream, key), &message, credit)
+        carry(peer, (binding << 1) | 1, stream, key, &message, credit)
     }
 
     /// The peer has agreed: what waited goes out. `None` if nothing was asked.
@@ -216,7 +224,9 @@ fn ticks(span: Duration) -> u64 {
 /// those of bindings odd.
 pub(super) fn carry(
     peer: NodeId,
-    (channel, stream, key): BindingRoute,
+    channel: u32,
+    stream: Option<TrafficClass>,
+    key: OrderingKey,
     message: &PeerMessage,
     credit: Option<Credit>,
 ) -> PeerProtocolOutput {

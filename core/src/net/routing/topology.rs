@@ -159,6 +159,18 @@ struct Distance {
     links: u8,
 }
 
+/// How a packet comes to some node over a link of this one.
+struct Way<'a> {
+    cost: u32,
+    number: LinkId,
+    link: &'a Adjacency,
+    mtu: u16,
+    /// How many nodes pass it on.
+    relays: u8,
+    /// It would not come back here (RFC 5286, inequality 1).
+    is_loop_free: bool,
+}
+
 impl<'a> Topology<'a> {
     pub(crate) fn new(
         here: NodeId,
@@ -186,10 +198,10 @@ impl<'a> Topology<'a> {
         from_here: Distance,
         from_neighbours: &SortedMap<NodeId, SortedMap<NodeId, Distance>>,
     ) -> Option<Route> {
-        let mut ways: Vec<_> = self
+        let mut ways: Vec<Way<'_>> = self
             .links
             .iter()
-            .filter_map(|(number, link)| {
+            .filter_map(|(&number, link)| {
                 let from_neighbour = &from_neighbours[&link.id];
                 let rest = from_neighbour.get(&to)?;
                 let mtu = link.mtu.min(rest.mtu);
@@ -198,20 +210,17 @@ impl<'a> Topology<'a> {
                     return None;
                 }
                 let cost = rest.cost.saturating_add(link.cost.into());
-                // It would not come back here (RFC 5286, inequality 1).
                 let back = from_neighbour.get(&self.here).map_or(0, |back| back.cost);
-                let free = rest.cost < back.saturating_add(from_here.cost);
-                Some((cost, *number, link, mtu, (rest.links, free)))
+                let is_loop_free = rest.cost < back.saturating_add(from_here.cost);
+                Some(Way { cost, number, link, mtu, relays: rest.links, is_loop_free })
             })
             .collect();
-        ways.sort_by_key(|(cost, number, ..)| (*cost, *number));
-        let (cost, next, first, mtu, (relays, _)) = *ways.first()?;
-        let free =
-            |(_, _, link, _, (_, free)): &&(_, _, &Adjacency, _, _)| link.id == first.id || *free;
-        let alternate = ways[1..].iter().find(free);
-        let (mtu, relays) = alternate
-            .map_or((mtu, relays), |(.., other, (more, _))| (mtu.min(*other), relays.max(*more)));
-        let alternate = alternate.map(|(_, number, ..)| *number);
+        ways.sort_by_key(|way| (way.cost, way.number));
+        let (&Way { cost, number: next, link, mtu, relays, .. }, others) = ways.split_first()?;
+        let alternate = others.iter().find(|way| way.link.id == link.id || way.is_loop_free);
+        let (mtu, relays) =
+            alternate.map_or((mtu, relays), |other| (mtu.min(other.mtu), relays.max(other.relays)));
+        let alternate = alternate.map(|way| way.number);
         let (node, incarnation) = self.identity(to)?;
         let overhead = self.overhead.try_into().unwrap_or(u8::MAX);
         let mut route =

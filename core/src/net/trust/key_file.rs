@@ -42,9 +42,9 @@ impl KeyFile {
     pub fn parse(text: &str) -> Result<Self, TrustError> {
         let mut lines = Lines::new(text, KEY_FILE_BYTES)?;
         lines.title(NODE_TITLE)?;
-        let robot = name(lines.value("robot")?)?;
-        let node = name(lines.value("node")?)?;
-        let seed = seed(lines.value("seed")?)?;
+        let (_, robot) = name(&mut lines, "robot")?;
+        let (_, node) = name(&mut lines, "node")?;
+        let seed = seed(&mut lines)?;
         let (line, signer) = lines.value("signer")?;
         let signer = public_key(signer).map_err(|problem| problem.at(line))?;
         lines.finish()?;
@@ -77,9 +77,8 @@ impl RobotFile {
     pub fn parse(text: &str) -> Result<Self, TrustError> {
         let mut lines = Lines::new(text, KEY_FILE_BYTES + ROSTER_BYTES)?;
         lines.title(ROBOT_TITLE)?;
-        let (at, robot) = lines.value("robot")?;
-        let robot = name((at, robot))?;
-        let seed = seed(lines.value("seed")?)?;
+        let (at, robot) = name(&mut lines, "robot")?;
+        let seed = seed(&mut lines)?;
         let head: usize = text.split_inclusive('\n').take(ROBOT_LINES).map(str::len).sum();
         let roster = NodeRoster::parse_signed(&text[head..], &seed.signer());
         let roster = roster.map_err(|error| error.problem.at(error.line + ROBOT_LINES))?;
@@ -104,12 +103,16 @@ fn whole<const N: usize>(parts: [&str; N]) -> Zeroizing<String> {
     text
 }
 
-fn name((line, text): (usize, &str)) -> Result<NodeName, TrustError> {
+/// Reads a name, and where it stands.
+fn name(lines: &mut Lines<'_>, word: &str) -> Result<(usize, NodeName), TrustError> {
+    let (line, text) = lines.value(word)?;
     // The reason would repeat the word.
-    NodeName::new(text).map_err(|_| TrustProblem::expected("the name of a robot or node").at(line))
+    let wrong = |_| TrustProblem::expected("the name of a robot or node").at(line);
+    Ok((line, NodeName::new(text).map_err(wrong)?))
 }
 
-fn seed((line, letters): (usize, &str)) -> Result<Seed, TrustError> {
+fn seed(lines: &mut Lines<'_>) -> Result<Seed, TrustError> {
+    let (line, letters) = lines.value("seed")?;
     let bytes = decode(letters).ok_or_else(|| TrustProblem::NotKey.at(line))?;
     Ok(Seed::new(bytes))
 }

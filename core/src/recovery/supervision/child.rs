@@ -90,28 +90,22 @@ pub(super) type ChildKey = u64;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ChildPhase {
+    /// It was not started, or its incarnation has ended or was abandoned.
     Down,
-    Starting {
-        due: Instant,
-    },
+    /// It starts, and is to be ready when this is due.
+    Starting { due: Instant },
     /// Its start has failed, and its last hooks run.
-    Failing {
-        due: Instant,
-    },
+    Failing { due: Instant },
+    /// It is ready.
     Running,
     /// It waits for something that is not there yet, for as long as that takes.
     Unavailable,
     /// It is in error, and is to be reset when it is its turn in the order of its group.
-    AwaitsReset {
-        call: CallId,
-    },
-    Resetting {
-        due: Instant,
-        call: CallId,
-    },
-    Stopping {
-        due: Instant,
-    },
+    AwaitsReset { call: CallId },
+    /// It is being reset for this call, and is to be ready when this is due.
+    Resetting { due: Instant, call: CallId },
+    /// It was asked to stop, and is to have ended when this is due.
+    Stopping { due: Instant },
 }
 
 /// What a child is to come to.

@@ -48,17 +48,18 @@ const PENDING_LIMIT: usize = 16_384;
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Phase {
+    /// It was not started yet, or all its children have stopped.
     Idle,
+    /// Its children start.
     Starting,
+    /// All were started.
     Serving,
     /// Its parent is about to end this incarnation.
     Leaving,
-    Ending {
-        escalation: Option<String>,
-    },
-    Escalated {
-        reason: String,
-    },
+    /// Its children stop; with a reason, it escalates when they have.
+    Ending { escalation: Option<String> },
+    /// It has handed its failure on, for this reason.
+    Escalated { reason: String },
 }
 
 #[derive(Clone, Debug)]

@@ -110,15 +110,16 @@ impl ConfigAgreement {
     /// Sets the carriers of the service in sight, and forgets those that do not count any more.
     pub(super) fn see(&mut self, found: &[NodeName], may_claim: impl Fn(&NodeName) -> bool) {
         self.polls = POLLS_MAX.min(self.polls + 1);
-        self.known.retain(|node, known| {
+        for (node, known) in &mut self.known {
             let seen = found.contains(node);
             // A node that agreed may have restarted when it comes back.
             if !seen && known.comparison == ConfigComparison::Agrees || !may_claim(node) {
                 *known = KnownReplica::default();
             }
             known.seen = seen;
-            seen || known.differs() || self.configuration.lists(node)
-        });
+        }
+        self.known
+            .retain(|node, known| known.seen || known.differs() || self.configuration.lists(node));
         for node in found {
             if let Some(known) = self.record(node) {
                 known.seen = true;

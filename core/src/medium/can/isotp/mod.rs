@@ -336,10 +336,10 @@ impl Machine for IsoTp {
             self.settle(to, now);
         }
         let mut failed = Vec::new();
-        self.incoming.retain(|(from, _), reception| {
+        for ((from, _), reception) in &mut self.incoming {
             failed.extend(reception.handle_timeout(now).map(|error| (*from, error)));
-            !reception.is_idle()
-        });
+        }
+        self.incoming.retain(|_, reception| !reception.is_idle());
         failed.into_iter().for_each(|(from, error)| self.fail(from, error));
     }
 }

@@ -83,21 +83,14 @@ pub(super) struct Reception {
 
 #[derive(Debug)]
 enum State {
+    /// No message is on its way.
     Idle,
     /// Our word is to go out.
-    Answering {
-        partial: Partial,
-        until: Instant,
-    },
+    Answering { partial: Partial, until: Instant },
     /// A refusal is to go out.
-    Refusing {
-        until: Instant,
-    },
-    Receiving {
-        partial: Partial,
-        left_in_block: Option<u8>,
-        until: Instant,
-    },
+    Refusing { until: Instant },
+    /// The next part of the message is to come.
+    Receiving { partial: Partial, left_in_block: Option<u8>, until: Instant },
 }
 
 /// What is there of a message.

@@ -61,11 +61,10 @@ enum State {
     /// The command is to be written.
     Saying(SetupStep),
     /// Its answer is to come.
-    Waiting {
-        step: SetupStep,
-        until: Instant,
-    },
+    Waiting { step: SetupStep, until: Instant },
+    /// The adapter carries frames.
     Open,
+    /// The adapter cannot be used.
     Failed(AdapterError),
 }
 

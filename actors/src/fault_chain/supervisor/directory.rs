@@ -1,21 +1,11 @@
 //! Which supervisor keeps which object.
 
+use super::SupervisorActor;
 use crate::platform::lock;
-use actix::prelude::*;
-use blastema_contract::reports::AreYouAlive;
-use blastema_contract::supervisor::{AddChild, ChildRequest, ReadTree};
+use actix::Addr;
 use blastema_core::sorted::SortedMap;
 use blastema_core::{ObjectName, suggestion};
 use std::sync::{Arc, Mutex, MutexGuard};
-
-/// What a strategy, or the node, may ask of a supervisor.
-#[derive(Clone)]
-pub(crate) struct SupervisorRecipients {
-    pub(crate) requests: Recipient<ChildRequest>,
-    pub(crate) add: Recipient<AddChild>,
-    pub(crate) pings: Recipient<AreYouAlive>,
-    pub(crate) read: Recipient<ReadTree>,
-}
 
 /// Kept by the supervisors themselves, read by the strategies; holds as many entries as the node
 /// has supervised objects.
@@ -24,8 +14,8 @@ pub(crate) struct SupervisorDirectory(Arc<Mutex<Entries>>);
 
 #[derive(Default)]
 struct Entries {
-    supervisor_of: SortedMap<ObjectName, Arc<SupervisorRecipients>>,
-    supervisors: SortedMap<ObjectName, Arc<SupervisorRecipients>>,
+    supervisor_of: SortedMap<ObjectName, Addr<SupervisorActor>>,
+    supervisors: SortedMap<ObjectName, Addr<SupervisorActor>>,
 }
 
 impl SupervisorDirectory {
@@ -33,20 +23,19 @@ impl SupervisorDirectory {
     pub(crate) fn enter<'a>(
         &self,
         name: &ObjectName,
-        ports: SupervisorRecipients,
+        address: Addr<SupervisorActor>,
         children: impl Iterator<Item = &'a ObjectName>,
     ) {
-        let ports = Arc::new(ports);
         let mut entries = self.entries();
-        entries.supervisors.insert(name.clone(), ports.clone());
-        entries.supervisor_of.extend(children.map(|child| (child.clone(), ports.clone())));
+        entries.supervisors.insert(name.clone(), address.clone());
+        entries.supervisor_of.extend(children.map(|child| (child.clone(), address.clone())));
     }
 
     /// The supervisor `name` keeps one more child.
     pub(crate) fn add(&self, name: &ObjectName, child: ObjectName) {
         let mut entries = self.entries();
-        if let Some(ports) = entries.supervisors.get(name).cloned() {
-            entries.supervisor_of.insert(child, ports);
+        if let Some(address) = entries.supervisors.get(name).cloned() {
+            entries.supervisor_of.insert(child, address);
         }
     }
 
@@ -58,9 +47,9 @@ impl SupervisorDirectory {
     /// The supervisor `name` ends, and none of its children has a supervisor any more.
     pub(crate) fn forget(&self, name: &ObjectName) {
         let mut entries = self.entries();
-        if let Some(ports) = entries.supervisors.remove(name) {
+        if let Some(address) = entries.supervisors.remove(name) {
             let all = std::mem::take(&mut entries.supervisor_of).into_iter();
-            entries.supervisor_of = all.filter(|(_, of)| !Arc::ptr_eq(of, &ports)).collect();
+            entries.supervisor_of = all.filter(|(_, of)| *of != address).collect();
         }
     }
 
@@ -70,8 +59,8 @@ impl SupervisorDirectory {
         let mut found = vec![top.clone()];
         let mut next = 0;
         while let Some(name) = found.get(next) {
-            if let Some(ports) = entries.supervisors.get(name) {
-                let below = entries.supervisor_of.iter().filter(|(_, of)| Arc::ptr_eq(of, ports));
+            if let Some(address) = entries.supervisors.get(name) {
+                let below = entries.supervisor_of.iter().filter(|(_, of)| *of == address);
                 found.extend(below.map(|(child, _)| child.clone()));
             }
             next += 1;
@@ -80,7 +69,7 @@ impl SupervisorDirectory {
     }
 
     /// The supervisor of this object.
-    pub(crate) fn supervisor_of(&self, object: &ObjectName) -> Option<Arc<SupervisorRecipients>> {
+    pub(crate) fn supervisor_of(&self, object: &ObjectName) -> Option<Addr<SupervisorActor>> {
         self.entries().supervisor_of.get(object).cloned()
     }
 
@@ -101,7 +90,7 @@ impl SupervisorDirectory {
     }
 
     /// The supervisor of this name.
-    pub(crate) fn supervisor(&self, name: &ObjectName) -> Option<Arc<SupervisorRecipients>> {
+    pub(crate) fn supervisor(&self, name: &ObjectName) -> Option<Addr<SupervisorActor>> {
         self.entries().supervisors.get(name).cloned()
     }
 
