@@ -563,7 +563,8 @@ impl<'a> RobotChecker<'a> {
     fn reach(
         &mut self,
         groups: &BTreeMap<&str, usize>,
-        [one, other]: [&str; 2],
+        one: &str,
+        other: &str,
         at: (ElementOrigin, &str),
     ) {
         if groups.get(one) != groups.get(other) {
@@ -627,7 +628,7 @@ impl<'a> RobotChecker<'a> {
                 // One that a rung runs starts when all else has.
                 let Some(here) = order.get(object).copied() else { continue };
                 let own_node = self.robot.nodes[here.0].name.as_str();
-                self.reach(groups, [own_node, node], at);
+                self.reach(groups, own_node, node, at);
                 if place.0 == here.0 && place.1 < here.1 {
                     continue;
                 }
@@ -681,8 +682,8 @@ impl<'a> RobotChecker<'a> {
                 self.twice(sentence, part, [first, origin], "delete one");
             }
             if let (true, Some(from), Some(to)) = (is_known, &ports.from.node, &ports.to.node) {
-                self.reach(groups, [from.as_str(), to.as_str()], (origin, "to"));
-                self.commanded(ports, [from.as_str(), to.as_str()], origin);
+                self.reach(groups, from, to, (origin, "to"));
+                self.commanded(ports, from, to, origin);
             }
         }
     }

@@ -265,7 +265,8 @@ impl Module {
         &self,
         name: &str,
         make: impl Fn(Log) -> C + Send + Sync + 'static,
-        (queue, full): (usize, WhenFull),
+        queue: usize,
+        full: WhenFull,
     ) -> (Box<dyn Child>, Log) {
         let log = Log::default();
         let kept = log.clone();

@@ -90,7 +90,8 @@ async fn served_by(sink: &Sender<Count>) -> u64 {
 async fn sent<M: Event>(
     node: &Node,
     sink: &str,
-    (count, batch): (u64, u64),
+    count: u64,
+    batch: u64,
     message: impl Fn(u64) -> M,
 ) -> f64 {
     let to: Sender<M> = node.sender(sink).expect("the name parses");
@@ -136,9 +137,9 @@ pub(crate) fn run(rounds: usize) {
             for _ in 0..rounds {
                 for (row, node) in &nodes {
                     let image = |_| Image(blob.clone());
-                    large.add(row, sent(node, "sink:large", (LARGE, 16), image).await);
+                    large.add(row, sent(node, "sink:large", LARGE, 16, image).await);
                     let tick = |number| Tick { number, values: [0.5; 3] };
-                    small.add(row, sent(node, "sink:small", (SMALL, 1024), tick).await);
+                    small.add(row, sent(node, "sink:small", SMALL, 1024, tick).await);
                 }
             }
             large.print();

@@ -219,12 +219,12 @@ async fn storm(scheme: &'static str, lasting: Duration) {
     right.kill();
 
     let text = std::fs::read_to_string(ledger(folder.path())).expect("it was written");
-    check(&text, &books.asked.lock().unwrap(), (scheme, kills));
+    check(&text, &books.asked.lock().unwrap(), scheme, kills);
 }
 
 /// Compares what was done with what the senders were told.
 #[expect(clippy::print_stdout, reason = "the counts are for those who run it for long")]
-fn check(ledger: &str, asked: &BTreeMap<u64, Result<u64, Outcome>>, (scheme, kills): (&str, u64)) {
+fn check(ledger: &str, asked: &BTreeMap<u64, Result<u64, Outcome>>, scheme: &str, kills: u64) {
     let mut done = BTreeSet::new();
     for line in ledger.lines() {
         assert!(done.insert(line), "{scheme}: {line} was done twice");

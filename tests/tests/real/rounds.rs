@@ -126,7 +126,8 @@ fn a_loop_that_had_its_processor_is_not_blamed() {
 async fn add_up(
     record: &LoopRecord,
     node: &TestNode,
-    (period, reading): (Duration, Duration),
+    period: Duration,
+    reading: Duration,
 ) -> (u64, u64, Duration) {
     until(async || record.is_over.load(SeqCst), "its last round").await;
     let row = node.row("motors").await;
@@ -161,7 +162,7 @@ fn rounds_and_those_that_overruns_miss_are_exactly_the_periods_that_have_passed(
         loop {
             let record = Arc::<LoopRecord>::default();
             let node = start(motors(&record, 20.0, act).max_missed_rounds(100)).await;
-            let (rounds, missed, late) = add_up(&record, &node, (PERIOD, Duration::ZERO)).await;
+            let (rounds, missed, late) = add_up(&record, &node, PERIOD, Duration::ZERO).await;
             node.shutdown().await;
             assert!(rounds == 16 && missed >= 4, "{missed}");
             // There was one number of periods only, unless the computer was busy.
@@ -189,7 +190,7 @@ fn rounds_that_get_no_processor_are_missed_and_counted() {
             counted = blastema::run(async {
                 let record = Arc::<LoopRecord>::default();
                 let node = start(motors(&record, 10_000.0, act).max_missed_rounds(100)).await;
-                let (_, missed, _) = add_up(&record, &node, (PERIOD, 20 * MS)).await;
+                let (_, missed, _) = add_up(&record, &node, PERIOD, 20 * MS).await;
                 node.shutdown().await;
                 missed
             });
@@ -217,7 +218,7 @@ fn a_loop_that_is_restarted_has_rounds_from_then_on_and_has_missed_none_before()
 
         node.await_fault(FaultKind::Panic, "motors").await;
 
-        add_up(&record, &node, (MS, 20 * MS)).await;
+        add_up(&record, &node, MS, 20 * MS).await;
         assert_eq!(node.row("motors").await.incarnation, Incarnation(2));
         node.shutdown().await;
     });

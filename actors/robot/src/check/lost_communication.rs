@@ -87,7 +87,8 @@ impl<'a> RobotChecker<'a> {
     pub(super) fn commanded(
         &mut self,
         ports: &PortConnection,
-        [from, to]: [&str; 2],
+        from: &str,
+        to: &str,
         origin: ElementOrigin,
     ) {
         let port = self.types.port(self.robot, &ports.to, false).unwrap_or_default();

@@ -70,7 +70,7 @@ impl Handle<GrowMuch> for Desk {
 
 /// A component at this module, and what took effect there.
 async fn service_fn(module: &Module) -> (Box<dyn Child>, Log) {
-    module.begin("desk", Desk, (100, WhenFull::Refuse)).await
+    module.begin("desk", Desk, 100, WhenFull::Refuse).await
 }
 
 fn asking<M: crate::Request>(

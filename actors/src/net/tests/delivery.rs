@@ -73,7 +73,7 @@ impl Handle<Halt> for Ear {
 }
 
 async fn ear(module: &Module) -> (Box<dyn Child>, Log) {
-    let begun = module.begin("ear", Ear, (20_000, WhenFull::Refuse)).await;
+    let begun = module.begin("ear", Ear, 20_000, WhenFull::Refuse).await;
     advance(50 * MS).await;
     begun
 }

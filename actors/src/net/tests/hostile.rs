@@ -21,8 +21,10 @@ async fn three() -> (Robot, [Module; 3]) {
 /// Sends all this to `module` repeatedly, in the name of `source`, while a friend asks it and gets
 /// answers. Returns the declared faults.
 async fn under_fire(
-    (victim, friend): (&Module, &Module),
-    (source, authentic): (&str, bool),
+    victim: &Module,
+    friend: &Module,
+    source: &str,
+    authentic: bool,
     words: &[Segment],
 ) -> Vec<FaultDeclared> {
     let source = NodeId::of(&NodeName::new(source).unwrap());
@@ -81,7 +83,7 @@ async fn forged_and_replayed_sessions_are_refused_counted_and_named_and_the_forg
     before.tell(Note(1)).unwrap();
     advance(10 * MS).await;
 
-    let declared = under_fire((&left, &middle), ("right", false), &stale(99)).await;
+    let declared = under_fire(&left, &middle, "right", false, &stale(99)).await;
 
     assert_eq!(declared.len(), 1, "{declared:?}");
     assert_eq!(declared[0].kind, FaultKind::CheckFailed);
@@ -106,7 +108,7 @@ async fn that_a_session_must_be_refused_ends_by_itself_and_is_told_again() {
     let (_robot, [left, _right, middle]) = three().await;
     let words = stale(99);
     let fire = async || {
-        let declared = under_fire((&left, &middle), ("right", false), &words).await;
+        let declared = under_fire(&left, &middle, "right", false, &words).await;
         assert_eq!(declared.len(), 1, "{declared:?}");
         assert_eq!((declared[0].object.as_str(), declared[0].hold), ("net/stack", Some(QUIET)));
     };
@@ -130,7 +132,7 @@ fn offences(module: &Module) -> Vec<String> {
 async fn who_floods_by_its_own_link_is_told_as_an_offender() {
     let (_robot, [left, _right, middle]) = three().await;
 
-    under_fire((&left, &middle), ("right", true), &stale(99)).await;
+    under_fire(&left, &middle, "right", true, &stale(99)).await;
 
     assert_eq!(offences(&left), ["right: it sent for seconds what had to be refused"]);
 }
@@ -140,7 +142,7 @@ async fn what_is_of_the_past_is_told_and_held_against_absent_for_others_may_repe
     let (_robot, [left, _right, middle]) = three().await;
     let past = &stale(99)[..4];
 
-    let declared = under_fire((&left, &middle), ("right", true), past).await;
+    let declared = under_fire(&left, &middle, "right", true, past).await;
 
     assert_eq!(declared.len(), 1, "{declared:?}");
     assert!(declared[0].detail.contains("200 stale"), "{}", declared[0].detail);
@@ -181,7 +183,7 @@ async fn a_node_is_not_believed_about_others_and_about_its_own_objects_it_is() {
 async fn who_speaks_for_a_node_that_absent_knows_is_counted_and_told() {
     let (_robot, [left, _right, middle]) = three().await;
 
-    let declared = under_fire((&left, &middle), ("absent", false), &stale(99)).await;
+    let declared = under_fire(&left, &middle, "absent", false, &stale(99)).await;
 
     assert_eq!(declared.len(), 1, "{declared:?}");
     let detail = &declared[0].detail;

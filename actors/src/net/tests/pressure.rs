@@ -76,7 +76,7 @@ impl Handle<Busy> for Slow {
 
 /// A component `slow` at this module that needs so long for each message, and what it has done.
 async fn slow(module: &Module, takes: Duration, full: WhenFull) -> (Box<dyn Child>, Log) {
-    module.begin("slow", move |log| Slow { log, takes }, (QUEUE, full)).await
+    module.begin("slow", move |log| Slow { log, takes }, QUEUE, full).await
 }
 
 /// More jobs than `slow` has room for are on their way by this sender.

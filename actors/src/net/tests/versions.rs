@@ -126,7 +126,7 @@ async fn live<C: Component>(
     name: &str,
     make: impl Fn(Log) -> C + Send + Sync + 'static,
 ) -> (Box<dyn Child>, Log) {
-    let begun = module.begin(name, make, (ChildSpec::<C>::QUEUE, WhenFull::Refuse)).await;
+    let begun = module.begin(name, make, ChildSpec::<C>::QUEUE, WhenFull::Refuse).await;
     advance(50 * MS).await;
     begun
 }

@@ -1,10 +1,9 @@
 //! Two peer protocols, each the peer of the other.
 
 use super::*;
-use crate::CreditPool;
-use crate::Delivery;
 use crate::contract::layout::{Described, Layout};
 use crate::net::session::IDLE_TIMEOUT;
+use crate::{CreditPool, Delivery, ObjectName};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 

@@ -33,7 +33,7 @@ fn a_cable_whose_quality_swings_moves_traffic_once_and_not_with_every_swing() {
 }
 
 /// Node 1 makes an advertisement in another's name: incarnation, sequence number, links.
-fn lie(origin: usize, (incarnation, sequence): (u64, u64), to: &[usize]) -> Advertisement {
+fn lie(origin: usize, incarnation: u64, sequence: u64, to: &[usize]) -> Advertisement {
     let node = name(origin);
     let (origin, incarnation) = (NodeId::of(&node), Incarnation(incarnation));
     let edge = |to: &usize| Edge { to: NodeId::of(&name(*to)), incarnation: 1, cost: 1, mtu: 9000 };
@@ -79,8 +79,8 @@ fn announcements_in_the_names_of_others_are_not_believed() {
     let first = AdvertisementId::first_sequence(Incarnation(1));
     for_seeds(50..53, |seed| {
         under_lies(seed, |n| {
-            let number = (1, first + 1000 + n);
-            vec![lie(2, number, &[1]), lie(3, number, &[]), lie(0, number, &[])]
+            let number = first + 1000 + n;
+            vec![lie(2, 1, number, &[1]), lie(3, 1, number, &[]), lie(0, 1, number, &[])]
         });
     });
 }
@@ -90,7 +90,7 @@ fn the_highest_number_and_incarnations_that_a_node_never_had_are_not_believed_ei
     for_seeds(70..73, |seed| {
         under_lies(seed, |n| {
             let incarnation = if n % 3 == 0 { u64::MAX } else { 2 + n };
-            vec![lie(2, (incarnation, u64::MAX - n), &[3]), lie(3, (incarnation, u64::MAX), &[0])]
+            vec![lie(2, incarnation, u64::MAX - n, &[3]), lie(3, incarnation, u64::MAX, &[0])]
         });
     });
 }
@@ -103,7 +103,7 @@ fn without_keys_what_is_said_in_a_nodes_name_is_outdone() {
         let mut world = World::new(seed, 4, &[(0, 1), (0, 3), (3, 2)], CALM);
         world.run(1000 * MS);
         for n in 0..200 {
-            let lies = [lie(2, (1, first + 1000 + n), &[1]), lie(3, (1, first + 1000 + n), &[])];
+            let lies = [lie(2, 1, first + 1000 + n, &[1]), lie(3, 1, first + 1000 + n, &[])];
             let lies = lies.map(|lie| Advertisement { signature: None, ..lie });
             let bytes = RoutingMessage::Announce(lies.to_vec()).encode();
             let now = world.now;

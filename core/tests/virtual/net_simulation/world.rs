@@ -125,15 +125,16 @@ impl World {
     /// Every other seed's nodes have keys.
     pub(crate) fn new(seed: u64, nodes: usize, wires: &[(usize, usize)], weather: Weather) -> Self {
         let keys = (seed % 2 == 1).then(|| roster(nodes));
-        World::with_roster((seed, nodes), keys, wires, weather)
+        World::with_roster(seed, nodes, keys, wires, weather)
     }
 
     pub(crate) fn with_keys(seed: u64, nodes: usize, wires: &[(usize, usize)]) -> Self {
-        World::with_roster((seed, nodes), Some(roster(nodes)), wires, CALM)
+        World::with_roster(seed, nodes, Some(roster(nodes)), wires, CALM)
     }
 
     fn with_roster(
-        (seed, nodes): (u64, usize),
+        seed: u64,
+        nodes: usize,
         roster: Option<NodeRoster>,
         wires: &[(usize, usize)],
         weather: Weather,

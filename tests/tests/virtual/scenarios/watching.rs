@@ -20,15 +20,16 @@ struct Robot {
 impl Robot {
     async fn start() -> Self {
         let (medium, strings) = (MemoryMedium::default(), Strings::default());
-        let module1 = Self::node(&medium, ["module1", "module2"], "watcher", &strings).await;
-        let module2 = Self::node(&medium, ["module2", "module1"], "laser", &strings).await;
+        let module1 = Self::node(&medium, "module1", "module2", "watcher", &strings).await;
+        let module2 = Self::node(&medium, "module2", "module1", "laser", &strings).await;
         module1.advance(2 * SECOND).await;
         Robot { medium, module1, module2, strings }
     }
 
     async fn node(
         medium: &MemoryMedium,
-        [own, peer]: [&str; 2],
+        own: &str,
+        peer: &str,
         puppet: &'static str,
         strings: &Strings,
     ) -> TestNode {
@@ -220,8 +221,8 @@ async fn an_end_right_after_the_start_of_the_next_process_of_its_node_is_told() 
             robot.watch("module2:laser").await;
         }
         robot.watched().await;
-        let pair = ["module2", "module1"];
-        robot.module2 = Robot::node(&robot.medium, pair, "laser", &robot.strings).await;
+        let medium = &robot.medium;
+        robot.module2 = Robot::node(medium, "module2", "module1", "laser", &robot.strings).await;
         assert!(robot.module1.connected("module2", 20 * SECOND).await);
 
         ask(&robot.module2, "laser", Deed::Stop).await.unwrap();
