@@ -218,7 +218,7 @@ impl Network {
 
     /// Does as [`discover`](Network::discover), and discovers neighbours of any name. On a sealed
     /// network these are the nodes of the roster.
-    pub fn discover_anybody(mut self, group: &str) -> Self {
+    pub fn discover_all(mut self, group: &str) -> Self {
         self.discovery = Some(Discovered { group: group.to_owned(), nodes: None });
         self
     }

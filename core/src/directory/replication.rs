@@ -146,12 +146,12 @@ impl Directory {
                 }
             }
             if !records.is_empty() || !gone.is_empty() {
-                self.tell_everybody(&DirectoryMessage::Changed { records, gone });
+                self.broadcast(&DirectoryMessage::Changed { records, gone });
             }
         }
     }
 
-    fn tell_everybody(&mut self, message: &DirectoryMessage) {
+    fn broadcast(&mut self, message: &DirectoryMessage) {
         let message = Bytes::from(codec::encode_unbounded(message));
         for (node, _) in self.peers.iter().filter(|(_, peer)| !peer.ended) {
             let (to, message) = (node.clone(), message.clone());

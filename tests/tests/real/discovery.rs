@@ -38,7 +38,7 @@ fn nodes_that_know_nobody_find_each_other_by_beacons() {
         let network =
             |medium: &str, own: SocketAddr| Network::new("ethernet", &format!("{medium}://{own}"));
         let one = network("tcp", a).discover(&group, ["module2"]);
-        let two = network("tcp", b).discover_anybody(&group);
+        let two = network("tcp", b).discover_all(&group);
         let one = start(Node::builder("module1").network(one)).await;
         let two = start(Node::builder("module2").network(two)).await;
 
@@ -57,7 +57,7 @@ fn a_flood_of_forged_beacons_is_a_fault_and_harms_nobody() {
         let group = SocketAddr::from(([239, 255, 77, 10], group.port()));
         let network = |own: SocketAddr| {
             let network = Network::new("ethernet", &format!("udp://{own}"));
-            network.discover_anybody(&group.to_string())
+            network.discover_all(&group.to_string())
         };
         let one = start(Node::builder("module1").network(network(a))).await;
         let two = start(Node::builder("module2").network(network(b))).await;

@@ -89,7 +89,7 @@ fn a_network_that_leaves_the_computer_starts_only_when_it_is_insecure_and_is_sho
     keep_log();
     blastema::run(async {
         let at = |endpoint: &'static str| move || Network::new("lan", endpoint);
-        let group = || Network::new("lan", "udp://[::1]:0").discover_anybody("[ff15::1]:7399");
+        let group = || Network::new("lan", "udp://[::1]:0").discover_all("[ff15::1]:7399");
         type Describe = Box<dyn Fn() -> Network>;
         let leaving: [(&str, Describe); 8] = [
             ("udp://0.0.0.0:0", Box::new(at("udp://0.0.0.0:0"))),
@@ -154,7 +154,7 @@ fn a_network_that_stays_in_the_computer_starts_and_one_at_a_loopback_address_log
             ("tcp://[::1]:0", Network::new("inner", "tcp://[::1]:0").insecure()),
             (
                 "udp://127.0.0.2:0",
-                Network::new("inner", "udp://127.0.0.2:0").discover_anybody("239.255.77.8:7399"),
+                Network::new("inner", "udp://127.0.0.2:0").discover_all("239.255.77.8:7399"),
             ),
         ];
         for (medium, network) in here {

@@ -266,7 +266,7 @@ fn our_own_address_is_nobody_elses_and_a_neighbours_is_one_of_the_medium() {
         let reserved = Network::new("eth", "udp://224.0.0.1:7400");
         refused(node().network(reserved), &["224.0.0.1:7400", "^^^", "239.255.0.1"]).await;
         let network = Network::new("eth", "udp://127.0.0.1:0");
-        let beacons = network.discover_anybody("224.0.0.1:7399");
+        let beacons = network.discover_all("224.0.0.1:7399");
         refused(node().network(beacons), &["own protocols"]).await;
 
         let serial = Network::new("cable", "serial:///dev/ttyS99").peer("b", "10.0.0.1:1");

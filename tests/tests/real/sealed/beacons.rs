@@ -12,7 +12,7 @@ const NODES: [&str; 3] = ["base", "arm", "head"];
 
 async fn start(folder: &Path, own: &str, at: SocketAddr, group: SocketAddr) -> Node {
     let network = Network::new("lan", &format!("udp://{at}"));
-    let network = network.discover_anybody(&group.to_string());
+    let network = network.discover_all(&group.to_string());
     node(&RobotKeys::there(folder), own, network).start().await.expect("it starts")
 }
 
