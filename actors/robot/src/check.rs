@@ -682,6 +682,7 @@ impl<'a> RobotChecker<'a> {
                 self.twice(sentence, part, [first, origin], "delete one");
             }
             if let (true, Some(from), Some(to)) = (is_known, &ports.from.node, &ports.to.node) {
+                let (from, to) = (from.as_str(), to.as_str());
                 self.reach(groups, from, to, (origin, "to"));
                 self.commanded(ports, from, to, origin);
             }

@@ -28,7 +28,7 @@ impl<'a> RobotChecker<'a> {
                 let at = (policy.origin, "commander");
                 self.known(CODE, "node", commander, nodes.clone(), at);
                 if groups.contains_key(commander.as_str()) {
-                    self.reach(groups, [commander, &node.name], at);
+                    self.reach(groups, commander, &node.name, at);
                 }
             }
             for need in &policy.needs {
