@@ -221,11 +221,11 @@ impl DirectoryActor {
     /// Raises an alarm for a node whose messages are refused for seconds.
     fn look_at_refusals(&mut self) {
         let alarms = &mut self.alarms;
-        let alarms = self.setup.names.read(|machine| {
+        let raised = self.setup.names.read(|machine| {
             let refusals = machine.refusals().map(|(node, refusals)| (node.clone(), refusals));
             alarms.handle_look(refusals)
         });
-        for (node, since) in alarms {
+        for (node, since) in raised {
             let detail = format!("what {node} says that it has is refused all the time: {since}");
             self.faults.declare_passing(FaultKind::CheckFailed, detail);
         }

@@ -313,8 +313,7 @@ impl Actor for SupervisorActor {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
-        let address = context.address();
-        self.neighbours.directory.enter(&self.name, address, self.children.keys());
+        self.neighbours.directory.enter(&self.name, context.address(), self.children.keys());
         self.drive(context);
     }
 }

@@ -454,13 +454,14 @@ impl Sampler {
             self.activities.enter(slot, entry);
         }
         // A fenced arbiter is followed until it comes back or is lost, also without components.
-        let is_followed = |(heartbeat, population): &(Arc<ArbiterHeartbeat>, usize)| {
-            *population > 0 || heartbeat.is_fenced() && !heartbeat.is_lost()
+        let is_over = |(heartbeat, population): &(Arc<ArbiterHeartbeat>, usize)| {
+            *population == 0 && (!heartbeat.is_fenced() || heartbeat.is_lost())
         };
-        for (id, _) in self.heartbeats.iter().filter(|(_, of)| !is_followed(of)) {
-            self.scanner.handle_gone(*id);
+        let over = self.heartbeats.iter().filter(|(_, of)| is_over(of)).map(|(id, _)| *id);
+        for id in over.collect::<Vec<_>>() {
+            self.heartbeats.remove(&id);
+            self.scanner.handle_gone(id);
         }
-        self.heartbeats.retain(|_, of| is_followed(of));
     }
 }
 

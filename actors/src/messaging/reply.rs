@@ -161,7 +161,7 @@ pub(crate) struct ReplyFuture<M: Contract> {
 }
 
 enum Limit {
-    /// The wait has no end.
+    /// No time is set.
     None,
     /// To be set at the first poll.
     Within(Duration),

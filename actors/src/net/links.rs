@@ -53,7 +53,7 @@ const SLOW_COST: u64 = 1000;
 /// loses a tenth.
 const DISTRUSTED: u64 = 8;
 
-/// A link as it is described; the link_layer tells it of the medium.
+/// A link as it is described; the link layer tells it of the medium.
 fn link(recipients: &LinksRecipients, spec: &LinkSpec, now: Instant) -> Link {
     let LinksRecipients { node, incarnation, .. } = recipients;
     let config = LinkConfig {
@@ -386,7 +386,8 @@ impl MachineActor for LinksActor {
             }
             LinkLayerOutput::DialedIn { peer, address } => self.dialed_in(peer, address),
             LinkLayerOutput::Stranger(from) => {
-                warn!(network = %self.recipients.network, %from, "a stranger speaks; no link leads there");
+                let network = &self.recipients.network;
+                warn!(%network, %from, "a stranger speaks; no link leads there");
             }
             LinkLayerOutput::Stalled(gap) => {
                 if let Some(stalls) = &self.recipients.stalls {

@@ -226,7 +226,7 @@ impl Node {
         names: Vec<ObjectName>,
     ) -> Result<(), RemoveError> {
         let below = names.iter().filter_map(|name| self.0.chain.directory.supervisor(name));
-        let below: Vec<_> = below.map(|supervisor| supervisor.recipient()).collect();
+        let below: Vec<_> = below.map(Addr::recipient).collect();
         let remove = ChildRequest { object, action: ChildAction::Remove };
         loop {
             match supervisor.send(remove.clone()).await {

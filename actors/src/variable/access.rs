@@ -19,7 +19,7 @@ use std::time::Duration;
 pub(crate) enum VariableRequest {
     /// What the variable is now.
     Read { variable: VariableSelector },
-    /// What it is once its revision is above `after`.
+    /// What it is once its revision is another than `after`.
     Watch { variable: VariableSelector, after: u64 },
     /// The values decide what becomes of variables that await it, or none of them does. The answer
     /// to a write has the new revision, and no value.

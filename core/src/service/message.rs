@@ -52,7 +52,7 @@ pub(super) enum StandbyStatus {
 pub(super) enum Message {
     /// The primary's sign of life.
     Heartbeat(ReplicaHeartbeat),
-    /// A standby's answer to it.
+    /// A standby's answer to it; or its position alone, which promises nothing.
     LeasePromise(LeasePromise),
     /// The epoch of the receiver's heartbeat is outdated: this is the current one.
     Outdated { epoch: u64 },
@@ -60,7 +60,7 @@ pub(super) enum Message {
     Voted { epoch: u64 },
     /// The sender wants to become primary.
     VoteRequest(VoteRequest),
-    /// The answer to a vote request.
+    /// The sender votes for the receiver.
     Vote(Vote),
     /// The next entry of the log.
     Entry(LogEntry),

@@ -149,9 +149,9 @@ impl StrategyContext {
     /// Puts an object into the safe state whose node is in it, or ends. No sender waits for that.
     pub(crate) fn give_up_incarnation(&self, fault: &Fault) {
         // One that was removed meanwhile has no supervisor.
-        if let Ok((object, requests)) = self.supervisor(&fault.location) {
+        if let Ok((object, supervisor)) = self.supervisor(&fault.location) {
             let action = ChildAction::SafeStop(Some(fault.clone()));
-            requests.do_send(ChildRequest { object, action });
+            supervisor.do_send(ChildRequest { object, action });
         }
     }
 
@@ -186,8 +186,8 @@ impl StrategyContext {
         location: &FaultLocation,
         action: ChildAction,
     ) -> Result<RecoveryDone, RecoveryFailed> {
-        let (object, requests) = self.supervisor(location)?;
-        match requests.send(ChildRequest { object, action }).await {
+        let (object, supervisor) = self.supervisor(location)?;
+        match supervisor.send(ChildRequest { object, action }).await {
             Ok(Ok(Recovered { incarnation, waits, .. })) => {
                 Ok(RecoveryDone { incarnation, waits, finished: false })
             }
@@ -199,7 +199,7 @@ impl StrategyContext {
         }
     }
 
-    /// Where requests about an object go.
+    /// An object, and the supervisor that keeps it.
     fn supervisor(
         &self,
         location: &FaultLocation,

@@ -234,7 +234,8 @@ impl LinksActor {
         let number =
             self.recipients.dial_in.iter().find(|number| !self.specs.contains_key(*number));
         let Some(&number) = number else {
-            debug!(network = %self.recipients.network, %node, "{DIALED_IN_MAX} operators are connected");
+            let network = &self.recipients.network;
+            debug!(%network, %node, "{DIALED_IN_MAX} operators are connected");
             return;
         };
         let spec = LinkSpec {
@@ -330,7 +331,8 @@ impl LinksActor {
     }
 
     fn disconnect(&mut self, node: &NodeName) {
-        info!(network = %self.recipients.network, %node, "a neighbour that was learned of is given up");
+        let network = &self.recipients.network;
+        info!(%network, %node, "a neighbour that was learned of is given up");
         let Some(discovery) = &self.discovery else { return };
         let leads_there = |number: &&LinkId| {
             self.specs.get(*number).is_some_and(|spec| spec.neighbour.as_ref() == Some(node))

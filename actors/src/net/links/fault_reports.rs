@@ -133,8 +133,8 @@ impl LinksActor {
             format!("{lost:.1} % of the hellos lost, round trip {round_trip:.1?}")
         });
         let narrow = link.shortfall().map(|sizes| {
-            let (passes, configured) = sizes;
-            let [passes, configured] = [passes, configured].map(|size| size + self.link_layer.overhead());
+            let overhead = self.link_layer.overhead();
+            let (passes, configured) = (sizes.0 + overhead, sizes.1 + overhead);
             format!(
                 "the path to {} drops frames of {configured} bytes, the network's mtu, and carries \
                  {passes}, as large as they are sent now: check the VPN or tunnel on the path, or set \

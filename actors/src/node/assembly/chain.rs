@@ -213,9 +213,9 @@ pub(super) fn make_chain(
         safe_outputs: safe_outputs.clone(),
         rest_node: controller.clone().recipient(),
     });
-    let plan = faults.plan.clone();
+    let (plan, seed) = (faults.plan.clone(), platform::random_seed());
     let setup = RecovererSetup {
-        machine: recovery::Recoverer::new(node.clone(), plan, platform::random_seed()),
+        machine: recovery::Recoverer::new(node.clone(), plan, seed),
         strategies: faults.strategies.clone(),
         context,
         detector: monitor.clone().recipient(),

@@ -11,7 +11,7 @@ pub(super) enum ComponentEntry {
     /// It has nothing in service, nothing is late, and no sign is expected of it. As long as it
     /// shows this mark and its arbiter has time, there is nothing to judge.
     Resting { judged: JudgedComponent, mark: ActivityMark },
-    /// It is judged at every look.
+    /// It is judged whenever activity records are shown.
     Awake(Box<ComponentRecord>),
 }
 

@@ -246,13 +246,8 @@ impl PeerProtocol {
         let Some(session) = known.and_then(|peer| peer.record.session.as_mut()) else {
             let unreachable = DeliveryError::Unreachable { node: node.to_string() };
             let why = if reachable { DeliveryError::Restarting } else { unreachable };
-            self.outputs.push_back(refuse(
-                peer,
-                MessageTarget::Object(object, contract.name),
-                reply_as,
-                why,
-            ));
-            return;
+            let to = MessageTarget::Object(object, contract.name);
+            return self.outputs.push_back(refuse(peer, to, reply_as, why));
         };
         let key = (object, contract.name, contract.fingerprint);
         let pending = reply_as.map(|reply_as| PendingCall { reply_as, until, again });

@@ -96,7 +96,7 @@ pub(super) enum ChildPhase {
     Starting { due: Instant },
     /// Its start has failed, and its last hooks run.
     Failing { due: Instant },
-    /// It is ready.
+    /// It was ready, and has not ended; it may be in error.
     Running,
     /// It waits for something that is not there yet, for as long as that takes.
     Unavailable,

@@ -48,7 +48,7 @@ const PENDING_LIMIT: usize = 16_384;
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Phase {
-    /// It was not started yet, or all its children have stopped.
+    /// It was not begun yet, or all its children have stopped or were given up.
     Idle,
     /// Its children start.
     Starting,
