@@ -16,6 +16,7 @@ use rustix::process::{Resource, getrlimit};
 use std::cell::Cell;
 use std::fs;
 use std::io::{self, Write};
+use std::pin::pin;
 use std::rc::Rc;
 use std::time::Duration;
 use tokio::sync::mpsc::{Sender as Queue, channel};
@@ -56,11 +57,24 @@ pub(crate) async fn run(shows_lines: bool) -> (Option<Report>, Result<(), String
         .components_on_this_thread()
         .without_signal_handling();
     let mut faults = builder.fault_events();
+    let mut starting = pin!(builder.start());
     let started = tokio::select! {
-        started = builder.start() => started.map_err(|error| {
+        started = &mut starting => started.map_err(|error| {
             with_reasons(format!("the modules do not start: {error}"), &folder)
         }),
-        signal = signals.next() => Err(interrupted(signal)),
+        signal = signals.next() => {
+            // A start that is dropped leaves processes behind, which end a little later.
+            let ended = async {
+                if let Ok(node) = starting.await {
+                    node.shutdown().await;
+                }
+            };
+            tokio::select! {
+                () = ended => {}
+                _ = signals.next() => {}
+            }
+            Err(interrupted(signal))
+        }
     };
     let node = match started {
         Ok(node) => node,
