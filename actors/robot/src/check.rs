@@ -61,6 +61,16 @@ pub(crate) fn check(
     findings
 }
 
+/// The medium of an endpoint, as other nodes must have it, where it is one.
+fn medium(at: &str) -> Option<&str> {
+    match at.split(':').next()? {
+        // An adapter is on the bus as a controller is.
+        "slcan" => Some("can"),
+        medium @ ("can" | "memory" | "serial" | "tcp" | "udp" | "unix") => Some(medium),
+        _ => None,
+    }
+}
+
 /// What helps against a wrong endpoint.
 const MEDIA: &str = "see the manual's page on media";
 
@@ -456,6 +466,13 @@ impl<'a> RobotChecker<'a> {
                         format!("`{name}` has three endpoints, and a serial line joins two");
                     let (at, help) = ((end.origin, "network"), "make it a network of its own");
                     self.find("robot::network", sentence, at, help, "the third");
+                }
+                if let (Some(first), Some(other)) = (medium(&ends[0].1.at), medium(&end.at))
+                    && first != other
+                {
+                    let sentence = format!("`{name}` has endpoints on {first} and on {other}");
+                    let help = "write endpoints of one medium, or make it two networks";
+                    self.find("robot::network", sentence, (end.origin, "at"), help, "on another");
                 }
                 self.endpoint(node, end);
             }

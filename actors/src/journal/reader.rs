@@ -3,7 +3,7 @@
 use super::lock;
 use super::store::{APPLICATION, ENDED_WITH_PROCESS, NODE_ENDED, VERSION, version_of};
 use crate::platform::wall_time::WallTime;
-use rusqlite::{Connection, OpenFlags, Row};
+use rusqlite::{Connection, ErrorCode, OpenFlags, Row};
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -145,8 +145,13 @@ pub fn read(path: &Path) -> Result<Vec<JournalEntry>, ReadError> {
         return Err(ReadError::NoJournal { path: path.to_owned(), reason });
     }
     let unreadable = |error: rusqlite::Error| match error.sqlite_error_code() {
-        Some(rusqlite::ErrorCode::NotADatabase) => {
+        Some(ErrorCode::NotADatabase) => {
             ReadError::NoJournal { path: path.to_owned(), reason: "it is no database".to_owned() }
+        }
+        Some(ErrorCode::ReadOnly) => {
+            let reason =
+                "you may not write in its folder, as SQLite must: copy it into one of yours";
+            ReadError::Unreadable { path: path.to_owned(), reason: reason.to_owned() }
         }
         _ => ReadError::Unreadable { path: path.to_owned(), reason: error.to_string() },
     };
@@ -173,7 +178,14 @@ fn check(connection: &Connection, path: &Path) -> rusqlite::Result<Result<(), Re
         _ if application != APPLICATION => {
             no_journal("it is a database of another program".to_owned())
         }
-        VERSION => Ok(()),
+        VERSION => {
+            let found: String =
+                connection.query_row("PRAGMA quick_check(1)", [], |row| row.get(0))?;
+            match found == "ok" {
+                true => Ok(()),
+                false => Err(ReadError::Unreadable { path: path.to_owned(), reason: found }),
+            }
+        }
         other => no_journal(format!("it has version {other}, and this program knows {VERSION}")),
     })
 }

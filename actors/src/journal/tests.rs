@@ -205,6 +205,7 @@ fn a_damaged_file_is_known_as_such_and_can_be_set_aside() {
     cut_in_a_page.truncate(5000);
     for bytes in [spoilt, pages_gone, cut, cut_in_a_page] {
         fs::write(&path, &bytes).unwrap();
+        assert!(read(&path).is_err());
         let error = Store::open(&path, &author("a", 2), StoreLimits::default()).unwrap_err();
         assert!(matches!(error, StoreError::Damaged(_)), "{error:?}");
 
