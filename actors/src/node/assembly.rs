@@ -66,8 +66,8 @@ use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 impl NodeBuilder {
-    /// Starts the node: its fault chain, and then all components, each after those before it. If the
-    /// future is dropped before that, what was started ends without order, and a little later:
+    /// Starts the node: its fault chain, and then all components, each after those before it. If
+    /// the future is dropped before that, what was started ends without order, and a little later:
     /// [`run_until`](NodeBuilder::run_until) undoes a start in order.
     ///
     /// # Errors
