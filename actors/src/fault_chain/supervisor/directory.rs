@@ -14,7 +14,8 @@ pub(crate) struct SupervisorDirectory(Arc<Mutex<Entries>>);
 
 #[derive(Default)]
 struct Entries {
-    supervisor_of: SortedMap<ObjectName, Addr<SupervisorActor>>,
+    /// Of each object its supervisor's name: an address for each would be two allocations of actix.
+    supervisor_of: SortedMap<ObjectName, ObjectName>,
     supervisors: SortedMap<ObjectName, Addr<SupervisorActor>>,
 }
 
@@ -27,15 +28,15 @@ impl SupervisorDirectory {
         children: impl Iterator<Item = &'a ObjectName>,
     ) {
         let mut entries = self.entries();
-        entries.supervisors.insert(name.clone(), address.clone());
-        entries.supervisor_of.extend(children.map(|child| (child.clone(), address.clone())));
+        entries.supervisors.insert(name.clone(), address);
+        entries.supervisor_of.extend(children.map(|child| (child.clone(), name.clone())));
     }
 
     /// The supervisor `name` keeps one more child.
     pub(crate) fn add(&self, name: &ObjectName, child: ObjectName) {
         let mut entries = self.entries();
-        if let Some(address) = entries.supervisors.get(name).cloned() {
-            entries.supervisor_of.insert(child, address);
+        if entries.supervisors.contains_key(name) {
+            entries.supervisor_of.insert(child, name.clone());
         }
     }
 
@@ -47,10 +48,8 @@ impl SupervisorDirectory {
     /// The supervisor `name` ends, and none of its children has a supervisor any more.
     pub(crate) fn forget(&self, name: &ObjectName) {
         let mut entries = self.entries();
-        if let Some(address) = entries.supervisors.remove(name) {
-            let all = std::mem::take(&mut entries.supervisor_of).into_iter();
-            entries.supervisor_of = all.filter(|(_, of)| *of != address).collect();
-        }
+        entries.supervisors.remove(name);
+        entries.supervisor_of.retain(|_, of| of != name);
     }
 
     /// An object and all below it: each supervisor before its children.
@@ -59,8 +58,8 @@ impl SupervisorDirectory {
         let mut found = vec![top.clone()];
         let mut next = 0;
         while let Some(name) = found.get(next) {
-            if let Some(address) = entries.supervisors.get(name) {
-                let below = entries.supervisor_of.iter().filter(|(_, of)| *of == address);
+            if let Some((name, _)) = entries.supervisors.get_key_value(name) {
+                let below = entries.supervisor_of.iter().filter(|(_, of)| *of == name);
                 found.extend(below.map(|(child, _)| child.clone()));
             }
             next += 1;
@@ -70,7 +69,8 @@ impl SupervisorDirectory {
 
     /// The supervisor of this object.
     pub(crate) fn supervisor_of(&self, object: &ObjectName) -> Option<Addr<SupervisorActor>> {
-        self.entries().supervisor_of.get(object).cloned()
+        let entries = self.entries();
+        entries.supervisors.get(entries.supervisor_of.get(object)?).cloned()
     }
 
     /// The child whose name is spelt most like this one.
