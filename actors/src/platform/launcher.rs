@@ -195,11 +195,16 @@ impl Launcher {
                 Err(error) => return Err(error.into()),
             }
             let is_asked = sources.get(2).is_some_and(|node| !node.revents().is_empty());
-            self.take_messages(socket);
+            let mut end = None;
             while let Ok(Some((process, status))) = rustix::process::wait(WaitOptions::NOHANG) {
                 if process == program {
-                    return Ok(ProcessEnd::Ended { status: status.as_raw(), is_killed });
+                    end = Some(ProcessEnd::Ended { status: status.as_raw(), is_killed });
                 }
+            }
+            // What the program said before its end counts.
+            self.take_messages(socket);
+            if let Some(end) = end {
+                return Ok(end);
             }
             if is_asked {
                 kill_at = Some(now() + self.order.stop_within);

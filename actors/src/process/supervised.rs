@@ -185,11 +185,11 @@ impl Component for SupervisedProcess {
             let found = status.wait_for(|status| status.is_ready || status.end.is_some()).await;
             let found = found.map(|found| found.clone()).map_err(|error| error.to_string())?;
             match found.end {
-                None => Ok(running),
-                Some(end) => Err(match describe(&end) {
+                Some(end) if !found.is_ready => Err(match describe(&end) {
                     Some(text) => format!("before it was ready, {text}"),
                     None => "it ended before it was ready, with exit status 0".to_owned(),
                 }),
+                _ => Ok(running),
             }
         };
         let started = tokio::select! {
