@@ -11,6 +11,7 @@ pub(crate) mod launcher;
 #[cfg(feature = "process")]
 mod output_lines;
 pub(crate) mod panics;
+mod printer;
 #[cfg(feature = "process")]
 pub(crate) mod processes;
 pub(crate) mod processor_time;
@@ -24,6 +25,8 @@ pub(crate) mod watchdog_device;
 
 #[cfg(feature = "process")]
 pub use output_lines::read_lines;
+pub use printer::print_line;
+pub(crate) use printer::tell_person;
 #[cfg(feature = "process")]
 pub use processes::finish_output;
 pub use signals::{Termination, Terminations};
@@ -31,7 +34,6 @@ pub use signals::{Termination, Terminations};
 use blastema_core::{Incarnation, Instant};
 use scheduling::ThreadScheduling;
 use std::hash::{BuildHasher, RandomState};
-use std::io::Write;
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, SystemTime};
 use std::{hint, io, process, thread};
@@ -271,13 +273,7 @@ pub(crate) fn files_left() -> Option<usize> {
 
 /// Writes to standard error what has happened to a node, and when.
 pub(crate) fn tell_of_node(text: &str) {
-    tell_person(&format!("{} blastema: {text}", wall_clock()));
-}
-
-/// Writes to standard error what a user must know without reading the log.
-pub(crate) fn tell_person(text: &str) {
-    // Standard error may be closed: then the log has it alone.
-    let _ = writeln!(io::stderr(), "{text}");
+    tell_person(format!("{} blastema: {text}", wall_clock()));
 }
 
 /// Ends the process at once.

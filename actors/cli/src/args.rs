@@ -82,7 +82,7 @@ Examples:
   blastema run ranger.robot.xml --set lidar=/dev/pts/7
 
 The exit status is that of the program: 0 it was done, 1 the file has a mistake or the robot did not
-run to its end, 2 the command line is wrong or a file cannot be read.";
+run to its end, 2 the command line is wrong or a file cannot be read, 3 a node did not come up.";
 
 /// The shortest and the longest `--within`.
 const WITHIN: RangeInclusive<Duration> = Duration::from_millis(10)..=Duration::from_secs(60 * 60);

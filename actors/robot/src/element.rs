@@ -5,7 +5,7 @@
 
 use crate::description::ElementOrigin;
 use crate::finding::{FilePlace, RobotFinding, tag_name, value_place};
-use crate::value::{ParsedValue, ValueError};
+use crate::value::{self, ParsedValue, ValueError};
 use blastema::core::suggestion::nearest;
 use roxmltree::Node;
 use std::cell::{Cell, RefCell};
@@ -106,13 +106,7 @@ impl<'a> RobotElement<'a> {
 
     /// The path that is the value of an attribute.
     pub(crate) fn path(&self, name: &'static str) -> Option<PathBuf> {
-        self.take(name, |text| match text {
-            "" => {
-                let sentence = format!("`{name}` is empty");
-                Err(ValueError::new(sentence, "a path", "write a path, or delete it"))
-            }
-            text => Ok(self.reading.root.join(text)),
-        })
+        self.take(name, |text| Ok(self.reading.root.join(value::filled(text)?)))
     }
 
     /// The children of these names, which have spaces between them, in the order of the file.

@@ -2,17 +2,12 @@
 
 use blastema::core::SlidingWindow;
 use blastema::core::recovery::Backoff;
-use blastema::platform::{self, Terminations, finish_output, read_lines};
+use blastema::platform::{self, Terminations, finish_output, print_line, read_lines};
 use blastema::sleep;
 use rustix::process::{Pid, Signal, kill_process};
 use std::ffi::OsString;
-use std::io::{self, Write};
 use std::pin::pin;
 use std::process::{ExitStatus, Stdio};
-use std::sync::atomic::AtomicU64;
-use std::sync::atomic::Ordering::Relaxed;
-use std::sync::mpsc::{SyncSender, sync_channel};
-use std::thread;
 use std::time::Duration;
 use tokio::io::AsyncRead;
 use tokio::process::{Child, Command};
@@ -34,12 +29,6 @@ const PERIOD: Duration = Duration::from_secs(10);
 const STOP_WITHIN: Duration = Duration::from_secs(30);
 /// Between two signals to a node that is to end at once: longer than it takes to see one.
 const SIGNAL_INTERVAL: Duration = Duration::from_millis(50);
-
-/// Lines that wait for the reader of the output. Further ones are left out, and counted.
-const LINES_WAITING: usize = 1_024;
-static LEFT_OUT: AtomicU64 = AtomicU64::new(0);
-/// How long the end of the launcher waits for that reader.
-const PRINTED_WITHIN: Duration = Duration::from_secs(1);
 
 /// The nodes to start, in this order.
 pub(crate) struct Launch<'a> {
@@ -67,17 +56,16 @@ impl Launch<'_> {
     /// stopped.
     pub(crate) async fn run(self) -> Result<(), LaunchFailure> {
         let mut signals = Terminations::listen().map_err(|e| failed(format!("signals: {e}")))?;
-        let (lines, printed) = start_printer().map_err(|e| failed(format!("its output: {e}")))?;
         let hurry = watch::Sender::new(false);
         let (ends, mut failures) = mpsc::channel(self.nodes.len().max(1));
         let mut kept = Vec::new();
         for name in &self.nodes {
             let (stop, stopped) = oneshot::channel();
             let (name, arguments) = ((*name).to_owned(), self.arguments.clone());
-            let (ends, hurried, lines) = (ends.clone(), hurry.subscribe(), lines.clone());
+            let (ends, hurried) = (ends.clone(), hurry.subscribe());
             let ended = spawn_local(async move {
                 if let Err(LaunchFailure { status, reason }) =
-                    keep(&name, &arguments, stopped, hurried, &lines).await
+                    keep(&name, &arguments, stopped, hurried).await
                 {
                     let reason = format!("node {name}: {reason}");
                     // There is capacity for a failure of each node.
@@ -86,7 +74,7 @@ impl Launch<'_> {
             });
             kept.push((stop, ended));
         }
-        drop((ends, lines));
+        drop(ends);
         let failure = tokio::select! {
             _ = signals.next() => None,
             failure = failures.recv() => failure,
@@ -115,10 +103,6 @@ impl Launch<'_> {
                 Some(signal)
             }
         };
-        tokio::select! {
-            _ = printed => {}
-            () = sleep(PRINTED_WITHIN) => {}
-        }
         if let Some(signal) = second {
             let status = u8::try_from(signal.exit_code()).unwrap_or(FAILED);
             let reason = "a second signal ended the nodes at once".to_owned();
@@ -135,17 +119,14 @@ async fn keep(
     arguments: &[OsString],
     mut stopped: oneshot::Receiver<()>,
     mut hurried: watch::Receiver<bool>,
-    lines: &SyncSender<String>,
 ) -> Result<(), LaunchFailure> {
     let (mut deaths, mut attempt) = (SlidingWindow::new(RESTARTS, PERIOD), 1);
     loop {
         let mut process = start(name, arguments)?;
         // The node ends when this is dropped; waiting would drop it at once.
         let stdin = process.stdin.take();
-        let printing = [
-            print_lines(name, process.stdout.take(), lines),
-            print_lines(name, process.stderr.take(), lines),
-        ];
+        let printing =
+            [print_lines(name, process.stdout.take()), print_lines(name, process.stderr.take())];
         let status = tokio::select! {
             status = process.wait() => Some(status.map_err(|error| failed(error.to_string()))?),
             _ = &mut stopped => None,
@@ -186,7 +167,7 @@ async fn keep(
                 RESTARTS + 1
             )));
         }
-        print_line(lines, name, &format!("its process ended with {status}, and is started again"));
+        print_line(format!("[{name}] its process ended with {status}, and is started again"));
         attempt = if deaths.recent(now) == 1 { 2 } else { attempt + 1 };
         tokio::select! {
             () = sleep(Backoff::default().delay(attempt, u64::from(attempt))) => {}
@@ -226,34 +207,7 @@ fn start(name: &str, arguments: &[OsString]) -> Result<Child, LaunchFailure> {
 fn print_lines(
     name: &str,
     output: Option<impl AsyncRead + Unpin + 'static>,
-    lines: &SyncSender<String>,
 ) -> Option<JoinHandle<()>> {
-    let (output, name, lines) = (output?, name.to_owned(), lines.clone());
-    Some(spawn_local(read_lines(output, move |line| print_line(&lines, &name, line))))
-}
-
-fn print_line(lines: &SyncSender<String>, name: &str, line: &str) {
-    // Where the reader of the output stands still, what is too much for the queue is left out.
-    if lines.try_send(format!("[{name}] {line}")).is_err() {
-        LEFT_OUT.fetch_add(1, Relaxed);
-    }
-}
-
-/// Prints lines on a thread of its own: a reader that stands still, such as a paused terminal, keeps
-/// no signal from the nodes. The receiver ends when all is printed.
-fn start_printer() -> io::Result<(SyncSender<String>, oneshot::Receiver<()>)> {
-    let (lines, waiting) = sync_channel::<String>(LINES_WAITING);
-    let (printing, printed) = oneshot::channel::<()>();
-    thread::Builder::new().name("output".to_owned()).spawn(move || {
-        for line in waiting {
-            // A reader of the output that has gone is no fault of the robot.
-            let _ = writeln!(io::stdout().lock(), "{line}");
-            let count = LEFT_OUT.swap(0, Relaxed);
-            if count > 0 {
-                let _ = writeln!(io::stdout().lock(), "[robot] {count} lines were left out");
-            }
-        }
-        drop(printing);
-    })?;
-    Ok((lines, printed))
+    let (output, name) = (output?, name.to_owned());
+    Some(spawn_local(read_lines(output, move |line| print_line(format!("[{name}] {line}")))))
 }

@@ -524,7 +524,7 @@ fn component(element: &RobotElement<'_>) -> ChildDescription {
     let claims = claims.collect();
     let tree = if is_device { None } else { element.path("tree") };
     let type_name = match !is_device && element.node.has_attribute("tree") {
-        false => element.need("type", value::text),
+        false => element.need("type", value::filled),
         true => element.take("type", |text| {
             let (sentence, help) = ("a component has a `type` or a `tree`", "delete one");
             Err(ValueError::new(sentence, format!("{text}, beside a tree"), help))
@@ -587,7 +587,7 @@ fn process(element: &RobotElement<'_>) -> ChildDescription {
         let more = element.children("arg");
         arguments.extend(more.iter().filter_map(|argument| argument.need("value", value::text)));
         name = element.need("name", value::object_name).unwrap_or_default();
-        let program = element.need("program", value::text).unwrap_or_default();
+        let program = element.need("program", value::filled).unwrap_or_default();
         spec = ProcessSpec::new(&name, program).arguments(arguments).folder(element.folder());
     }
     for (name, value) in texts(element.distinct("env", "name"), ["name", "value"]) {
@@ -608,7 +608,7 @@ fn process(element: &RobotElement<'_>) -> ChildDescription {
 /// What a device has beside what it has as a component.
 fn device(element: &RobotElement<'_>) -> DeviceSettings {
     DeviceSettings {
-        at: element.need("at", value::text).unwrap_or_default(),
+        at: element.need("at", value::filled).unwrap_or_default(),
         address: element.take("address", value::count),
         interval: element.take("interval", value::duration),
         tries: element.take("tries", value::count),

@@ -49,6 +49,14 @@ pub(crate) fn text(text: &str) -> ParsedValue<String> {
     Ok(text.to_owned())
 }
 
+/// A text that says something.
+pub(crate) fn filled(text: &str) -> ParsedValue<String> {
+    match text {
+        "" => wrong("the value is empty".to_owned(), "a value", "write one, or leave it out"),
+        text => Ok(text.to_owned()),
+    }
+}
+
 pub(crate) fn words(text: &str) -> ParsedValue<Vec<String>> {
     Ok(text.split_whitespace().map(str::to_owned).collect())
 }

@@ -95,14 +95,12 @@ struct Discovered {
 }
 
 enum Medium {
+    /// One of the product.
     At(Endpoint),
     /// The endpoint does not parse. The check of the node returns the error.
     Unreadable(EndpointError),
-    Own {
-        make: Box<dyn FnOnce() -> FrameTransport + Send>,
-        name: String,
-        reach: Reach,
-    },
+    /// One of the user.
+    Own { make: Box<dyn FnOnce() -> FrameTransport + Send>, name: String, reach: Reach },
 }
 
 impl Medium {

@@ -184,7 +184,7 @@ fn log(
     let (output, name) = (output?, name.to_owned());
     Some(tokio::spawn(read_lines(output, move |line| match tracing::dispatcher::has_been_set() {
         true => info!(process = name, "{line}"),
-        false => tell_person(&format!("[{name}] {line}")),
+        false => tell_person(format!("[{name}] {line}")),
     })))
 }
 

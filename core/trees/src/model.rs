@@ -130,43 +130,55 @@ pub(crate) enum Kind {
     /// `Sequence`, `Fallback` and their like.
     Ordered(TickOrder),
     /// `ReactiveSequence` and `ReactiveFallback`.
-    Reactive {
-        go: Status,
-    },
+    Reactive { go: Status },
+    /// All children in each tick, until enough have ended.
     Parallel,
+    /// All children in each tick, until all have ended.
     ParallelAll,
     /// `IfThenElse`, or `WhileDoElse`, which looks at its condition in each tick.
-    Branch {
-        looks_again: bool,
-    },
+    Branch { looks_again: bool },
     /// With so many cases.
     Switch(u8),
+    /// The last child is ticked when one of the others fails.
     TryCatch,
+    /// SUCCESS for FAILURE, and FAILURE for SUCCESS.
     Inverter,
     /// `ForceSuccess` and `ForceFailure`.
     Force(Status),
     /// `Repeat` ends with FAILURE, `RetryUntilSuccessful` with SUCCESS.
-    Repeat {
-        until: Status,
-    },
+    Repeat { until: Status },
+    /// Its child begins again until it fails.
     KeepRunningUntilFailure,
+    /// Its child begins after a time.
     Delay,
+    /// Its child is halted after a time.
     Timeout,
+    /// Its child is run to its end once.
     RunOnce,
+    /// Its child is ticked where an expression holds.
     Precondition,
+    /// Its child is ticked for each element of a queue.
     Loop,
     /// `SkipUnlessUpdated` and `WaitValueUpdate`: the answer while the entry is not written.
     Updated(Status),
+    /// A tree by its id.
     #[default]
     SubTree,
     /// `AlwaysSuccess` and `AlwaysFailure`.
     Always(Status),
+    /// Runs a script.
     Script,
+    /// Whether an expression holds.
     ScriptCondition,
+    /// Writes an entry.
     SetBlackboard,
+    /// Removes an entry.
     UnsetBlackboard,
+    /// RUNNING for a time.
     Sleep,
+    /// Whether an entry was written since it was last asked.
     WasEntryUpdated,
+    /// A leaf of the user.
     Leaf(LeafKind),
 }
 

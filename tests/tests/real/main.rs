@@ -35,3 +35,4 @@ mod slow_machine;
 mod slow_path;
 mod supervised_processes;
 mod trees;
+mod unread_errors;

@@ -418,7 +418,7 @@ impl Node {
                 // Also if the sender of the state was dropped.
                 _ = state.wait_for(|state| *state == NodeState::Stopped) => return,
             };
-            platform::tell_person(&why);
+            platform::tell_person(why.clone());
             if let Some(node) = node.upgrade().map(Node) {
                 node.shut_down_because(&why).await;
             }
