@@ -502,10 +502,7 @@ impl Lease {
             self.work = Work::Ends { stops: self.moves };
             self.state = State::Settling;
             (self.rest.given, self.rest.owed) = (None, None);
-            match self.moves {
-                true => self.give(RestCause::Stopped, false),
-                false => self.free_once_settled(),
-            }
+            if self.moves { self.give(RestCause::Stopped, false) } else { self.free_once_settled() }
         }
     }
 

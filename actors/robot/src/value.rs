@@ -52,7 +52,7 @@ pub(crate) fn text(text: &str) -> ParsedValue<String> {
 /// A text that says something.
 pub(crate) fn filled(text: &str) -> ParsedValue<String> {
     match text {
-        "" => wrong("the value is empty".to_owned(), "a value", "write one, or leave it out"),
+        "" => wrong("the value is empty".to_owned(), "a value", "write one"),
         text => Ok(text.to_owned()),
     }
 }

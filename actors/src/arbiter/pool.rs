@@ -98,10 +98,7 @@ impl ArbiterSlot {
     }
 
     fn kind(&self) -> ThreadKind {
-        match self.own_thread {
-            true => ThreadKind::Own,
-            false => ThreadKind::Shared,
-        }
+        if self.own_thread { ThreadKind::Own } else { ThreadKind::Shared }
     }
 
     /// The component that lived here has ended.

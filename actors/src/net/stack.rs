@@ -304,10 +304,7 @@ impl Handler<LocalInput> for NetworkStack {
         // A panic must not come between the order to end and what peers are told.
         let is_end = matches!(input, LocalInput::Ending);
         self.floors.gateway.handle_local(input);
-        match is_end {
-            true => self.drive_all(context),
-            false => self.drive_all_soon(context),
-        }
+        if is_end { self.drive_all(context) } else { self.drive_all_soon(context) }
     }
 }
 

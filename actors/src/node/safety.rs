@@ -58,10 +58,7 @@ impl Shared {
         nodes.retain(|node| node.strong_count() > 0);
         nodes.push(Arc::downgrade(self));
         drop(nodes);
-        match self.has_outputs() || self.chain.keeps_journal() {
-            true => handle_signals(),
-            false => Ok(()),
-        }
+        if self.has_outputs() || self.chain.keeps_journal() { handle_signals() } else { Ok(()) }
     }
 
     /// Applies the safe outputs and cuts the actuators off, from whichever thread this is; once.

@@ -23,10 +23,7 @@ impl ProcessWatchdogs {
     /// # Errors
     /// What stands in the way, and what to do.
     pub(super) fn open(&self) -> Result<Opened, String> {
-        let manager = match self.systemd {
-            true => Systemd::of_this_process()?,
-            false => None,
-        };
+        let manager = if self.systemd { Systemd::of_this_process()? } else { None };
         let mut watchdogs: Vec<Box<dyn ProcessWatchdog>> = Vec::new();
         if let Some(manager) = &manager {
             watchdogs.extend(manager.watchdog()?);

@@ -315,10 +315,7 @@ fn spawn(watchdog: Option<Duration>, socket: &NotifySocket) -> io::Result<Pid> {
     drop(command);
     let mut failure = String::new();
     outcome.read_to_string(&mut failure)?;
-    match failure.is_empty() {
-        true => Ok(Pid::from_child(&child)),
-        false => Err(io::Error::other(failure)),
-    }
+    if failure.is_empty() { Ok(Pid::from_child(&child)) } else { Err(io::Error::other(failure)) }
 }
 
 /// Where the program says how it is. Its folder is this user's alone: no other user is heard.

@@ -1,29 +1,41 @@
 //! Lines for people, written by a thread of their own: a reader that stands still, such as a paused
 //! terminal, holds up nothing else.
 
+use super::start_thread;
 use std::io::{self, Write};
 use std::sync::LazyLock;
-use std::sync::atomic::Ordering::Relaxed;
+use std::sync::atomic::Ordering::SeqCst;
 use std::sync::atomic::{AtomicBool, AtomicU64};
-use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
-use std::thread;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::time::Duration;
 
 /// Lines that wait for the reader. Further ones are left out, and counted.
 const LINES_WAITING: usize = 1_024;
 static LEFT_OUT: AtomicU64 = AtomicU64::new(0);
-/// A reader that has not taken a line by then stands still, until it has.
+/// A reader that has not taken a line by then stands still, until it has taken all.
 const PRINTED_WITHIN: Duration = Duration::from_millis(100);
 static STANDS_STILL: AtomicBool = AtomicBool::new(false);
+/// How long the end of a program waits for its reader.
+const FINISHED_WITHIN: Duration = Duration::from_secs(1);
 
-/// Writes a line to standard output. Returns when it is written, or when its reader stands still.
+/// Has a line written to standard output.
 pub fn print_line(line: String) {
     print(line, |line| drop(writeln!(io::stdout(), "{line}")));
 }
 
-/// Writes to standard error what a user must know without reading the log, as [`print_line`] does.
+/// Writes to standard error what a user must know without reading the log. Returns when it is
+/// written, or when the reader stands still.
 pub(crate) fn tell_person(line: String) {
-    print(line, |line| drop(writeln!(io::stderr(), "{line}")));
+    let printed = print(line, |line| drop(writeln!(io::stderr(), "{line}")));
+    if !STANDS_STILL.load(SeqCst) {
+        let found = printed.recv_timeout(PRINTED_WITHIN);
+        STANDS_STILL.store(found == Err(RecvTimeoutError::Timeout), SeqCst);
+    }
+}
+
+/// Waits until all lines are written, for a second at most.
+pub fn finish_printing() {
+    let _ = print(String::new(), |_| {}).recv_timeout(FINISHED_WITHIN);
 }
 
 struct Line {
@@ -33,32 +45,36 @@ struct Line {
     printed: SyncSender<()>,
 }
 
-fn print(text: String, write: fn(&str)) {
-    static LINES: LazyLock<SyncSender<Line>> = LazyLock::new(start);
-    let (printed, is_printed) = sync_channel(1);
+/// What is returned receives when the line is written, and is closed where it is left out.
+fn print(text: String, write: fn(&str)) -> Receiver<()> {
+    static LINES: LazyLock<SyncSender<Line>> = LazyLock::new(|| {
+        let (lines, waiting) = sync_channel(LINES_WAITING);
+        let _ = start_thread("output", move || print_all(&waiting));
+        lines
+    });
+    let (printed, receiver) = sync_channel(1);
     match LINES.try_send(Line { text, write, printed }) {
-        Ok(()) if STANDS_STILL.load(Relaxed) => {}
-        Ok(()) => {
-            STANDS_STILL.store(is_printed.recv_timeout(PRINTED_WITHIN).is_err(), Relaxed);
-        }
-        Err(TrySendError::Full(_)) => drop(LEFT_OUT.fetch_add(1, Relaxed)),
+        Ok(()) => {}
+        Err(TrySendError::Full(_)) => drop(LEFT_OUT.fetch_add(1, SeqCst)),
         // There was no thread to be had.
         Err(TrySendError::Disconnected(line)) => write(&line.text),
     }
+    receiver
 }
 
-fn start() -> SyncSender<Line> {
-    let (lines, waiting) = sync_channel::<Line>(LINES_WAITING);
-    let _ = thread::Builder::new().name("output".to_owned()).spawn(move || {
-        for Line { text, write, printed } in waiting {
-            write(&text);
-            match LEFT_OUT.swap(0, Relaxed) {
-                0 => {}
-                count => write(&format!("({count} lines were left out)")),
-            }
-            STANDS_STILL.store(false, Relaxed);
-            let _ = printed.try_send(());
+fn print_all(waiting: &Receiver<Line>) {
+    let next = || {
+        waiting.try_recv().or_else(|_| {
+            STANDS_STILL.store(false, SeqCst);
+            waiting.recv()
+        })
+    };
+    while let Ok(Line { text, write, printed }) = next() {
+        write(&text);
+        let _ = printed.try_send(());
+        match LEFT_OUT.swap(0, SeqCst) {
+            0 => {}
+            count => drop(writeln!(io::stderr(), "blastema: {count} lines were left out")),
         }
-    });
-    lines
+    }
 }

@@ -95,8 +95,7 @@ impl SupervisorDirectory {
     }
 
     fn entries(&self) -> MutexGuard<'_, Entries> {
-        // Every change is a single insertion or removal: a panic in between leaves nothing half
-        // done.
+        // No change runs code that may panic: none is left half done.
         lock(&self.0)
     }
 }

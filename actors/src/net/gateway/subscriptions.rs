@@ -99,10 +99,7 @@ impl EventForward for PeerForward {
         if self.class.is_none() || self.has_ended() || !self.send_state.takes_messages() {
             return Reservation::Needless;
         }
-        let taken = match waits {
-            true => self.credit.take(bytes),
-            false => self.credit.take_for_event(bytes),
-        };
+        let taken = if waits { self.credit.take(bytes) } else { self.credit.take_for_event(bytes) };
         match taken {
             Some(credit) => {
                 let target = self.target.clone();

@@ -237,10 +237,7 @@ impl NodeRoster {
             return Err(TrustProblem::NotSigned.at(body.lines().count() + 1));
         }
         let roster = NodeRoster::parse(body)?;
-        match roster.to_text() == body {
-            true => Ok(roster),
-            false => Err(TrustProblem::NotCanonical.at(1)),
-        }
+        if roster.to_text() == body { Ok(roster) } else { Err(TrustProblem::NotCanonical.at(1)) }
     }
 }
 
