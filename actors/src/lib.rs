@@ -314,11 +314,14 @@ pub mod program {
 
 /// Runs a future on this thread until it completes, in a runtime that nodes can start in.
 ///
-/// `#[blastema::main]` does the same for a whole program. If the reader of the program's output has
+/// `#[blastema::main]` does the same for a whole program. At its end this function waits until all
+/// lines about faults are written, for a second at most. If the reader of the program's output has
 /// closed the pipe, as `head` does, the program ends with status 141, and reports only that its
 /// nodes were dropped.
 pub fn run<F: Future>(future: F) -> F::Output {
     crate::platform::panics::install_hook();
     let running = AssertUnwindSafe(|| actix_rt::System::new().block_on(future));
-    catch_unwind(running).unwrap_or_else(|payload| crate::platform::panics::end_of_program(payload))
+    let ended = catch_unwind(running);
+    crate::platform::finish_printing();
+    ended.unwrap_or_else(|payload| crate::platform::panics::end_of_program(payload))
 }

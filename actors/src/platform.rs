@@ -25,8 +25,8 @@ pub(crate) mod watchdog_device;
 
 #[cfg(feature = "process")]
 pub use output_lines::read_lines;
-pub(crate) use printer::tell_person;
-pub use printer::{finish_printing, print_line};
+pub use printer::print_line;
+pub(crate) use printer::{finish_printing, tell_person};
 #[cfg(feature = "process")]
 pub use processes::finish_output;
 pub use signals::{Termination, Terminations};
@@ -278,7 +278,7 @@ pub(crate) fn tell_of_node(text: &str) {
 
 /// Ends the process at once.
 pub(crate) fn end_process(code: i32) -> ! {
-    printer::finish_printing();
+    finish_printing();
     process::exit(code)
 }
 

@@ -2,9 +2,7 @@
 
 use blastema::core::SlidingWindow;
 use blastema::core::recovery::Backoff;
-use blastema::platform::{
-    self, Terminations, finish_output, finish_printing, print_line, read_lines,
-};
+use blastema::platform::{self, Terminations, finish_output, print_line, read_lines};
 use blastema::sleep;
 use rustix::process::{Pid, Signal, kill_process};
 use std::ffi::OsString;
@@ -105,7 +103,6 @@ impl Launch<'_> {
                 Some(signal)
             }
         };
-        finish_printing();
         if let Some(signal) = second {
             let status = u8::try_from(signal.exit_code()).unwrap_or(FAILED);
             let reason = "a second signal ended the nodes at once".to_owned();

@@ -3,78 +3,61 @@
 
 use super::start_thread;
 use std::io::{self, Write};
-use std::sync::LazyLock;
+use std::sync::OnceLock;
+use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering::SeqCst;
-use std::sync::atomic::{AtomicBool, AtomicU64};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::sync::mpsc::{SendError, Sender, channel};
 use std::time::Duration;
 
 /// Lines that wait for the reader. Further ones are left out, and counted.
 const LINES_WAITING: usize = 1_024;
-static LEFT_OUT: AtomicU64 = AtomicU64::new(0);
-/// A reader that has not taken a line by then stands still, until it has taken all.
-const PRINTED_WITHIN: Duration = Duration::from_millis(100);
-static STANDS_STILL: AtomicBool = AtomicBool::new(false);
+static WAITING: AtomicUsize = AtomicUsize::new(0);
+static LEFT_OUT: AtomicUsize = AtomicUsize::new(0);
 /// How long the end of a program waits for its reader.
 const FINISHED_WITHIN: Duration = Duration::from_secs(1);
 
+static PRINTER: OnceLock<Sender<Box<dyn FnOnce() + Send>>> = OnceLock::new();
+
 /// Has a line written to standard output.
 pub fn print_line(line: String) {
-    print(line, |line| drop(writeln!(io::stdout(), "{line}")));
+    print(move || drop(writeln!(io::stdout(), "{line}")));
 }
 
-/// Writes to standard error what a user must know without reading the log. Returns when it is
-/// written, or when the reader stands still.
+/// Has written to standard error what a user must know without reading the log.
 pub(crate) fn tell_person(line: String) {
-    let printed = print(line, |line| drop(writeln!(io::stderr(), "{line}")));
-    if !STANDS_STILL.load(SeqCst) {
-        let found = printed.recv_timeout(PRINTED_WITHIN);
-        STANDS_STILL.store(found == Err(RecvTimeoutError::Timeout), SeqCst);
-    }
+    print(move || drop(writeln!(io::stderr(), "{line}")));
 }
 
 /// Waits until all lines are written, for a second at most.
-pub fn finish_printing() {
-    let _ = print(String::new(), |_| {}).recv_timeout(FINISHED_WITHIN);
+pub(crate) fn finish_printing() {
+    let Some(printer) = PRINTER.get() else { return };
+    let (printed, all_printed) = channel::<()>();
+    let _ = printer.send(Box::new(move || drop(printed)));
+    let _ = all_printed.recv_timeout(FINISHED_WITHIN);
 }
 
-struct Line {
-    text: String,
-    /// A reader that has gone is no fault of the robot.
-    write: fn(&str),
-    printed: SyncSender<()>,
-}
-
-/// What is returned receives when the line is written, and is closed where it is left out.
-fn print(text: String, write: fn(&str)) -> Receiver<()> {
-    static LINES: LazyLock<SyncSender<Line>> = LazyLock::new(|| {
-        let (lines, waiting) = sync_channel(LINES_WAITING);
-        let _ = start_thread("output", move || print_all(&waiting));
+/// A reader that has gone is no fault of the robot.
+fn print(write: impl FnOnce() + Send + 'static) {
+    let printer = PRINTER.get_or_init(|| {
+        let (lines, waiting) = channel::<Box<dyn FnOnce() + Send>>();
+        let _ = start_thread("output", move || waiting.iter().for_each(|write| write()));
         lines
     });
-    let (printed, receiver) = sync_channel(1);
-    match LINES.try_send(Line { text, write, printed }) {
-        Ok(()) => {}
-        Err(TrySendError::Full(_)) => drop(LEFT_OUT.fetch_add(1, SeqCst)),
-        // There was no thread to be had.
-        Err(TrySendError::Disconnected(line)) => write(&line.text),
+    if WAITING.fetch_add(1, SeqCst) >= LINES_WAITING {
+        WAITING.fetch_sub(1, SeqCst);
+        LEFT_OUT.fetch_add(1, SeqCst);
+        return;
     }
-    receiver
-}
-
-fn print_all(waiting: &Receiver<Line>) {
-    let next = || {
-        waiting.try_recv().or_else(|_| {
-            STANDS_STILL.store(false, SeqCst);
-            waiting.recv()
-        })
-    };
-    while let Ok(Line { text, write, printed }) = next() {
-        write(&text);
-        let _ = printed.try_send(());
+    let printed = move || {
+        write();
+        WAITING.fetch_sub(1, SeqCst);
         match LEFT_OUT.swap(0, SeqCst) {
             0 => {}
             count => drop(writeln!(io::stderr(), "blastema: {count} lines were left out")),
         }
+    };
+    if let Err(SendError(write)) = printer.send(Box::new(printed)) {
+        // There was no thread to be had.
+        write();
     }
 }
