@@ -33,8 +33,8 @@ use std::time::Duration;
 /// Tells a process what it is to be: `launch`, or `start` and the launcher's process.
 pub(crate) const STAGE: &str = "BLASTEMA_STAGE";
 
-/// Memory is sampled, and orphans that have ended are collected, so often.
-const TICK: Duration = Duration::from_secs(1);
+/// The launcher reports, samples memory and collects orphans that have ended so often.
+pub(crate) const TICK: Duration = Duration::from_secs(1);
 /// Longer than a launcher waits for a busy processor.
 const LATE: Duration = Duration::from_millis(100);
 /// systemd takes no longer messages (`NOTIFY_BUFFER_MAX`).
@@ -58,7 +58,7 @@ pub(crate) struct LaunchOrder {
     pub(crate) ready_at_start: bool,
 }
 
-/// What is known of a process. The launcher sends it whenever it changes.
+/// What is known of a process. The launcher sends it whenever it changes, and at each tick.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct ProcessStatus {
     /// The program's process, whose process group it leads.
@@ -167,7 +167,7 @@ impl Launcher {
             self.report(|status| (status.process, status.is_ready) = (process, is_ready));
             self.watch(program, &socket.socket, lives.as_fd())
         });
-        end_descendants();
+        self.end_descendants();
         ended
     }
 
@@ -222,9 +222,28 @@ impl Launcher {
             if now() >= next_tick {
                 next_tick = now() + TICK;
                 self.judge_memory();
-                if self.reported.status != self.status {
-                    self.report(|_| {});
+                self.report(|_| {});
+            }
+        }
+    }
+
+    /// Kills all processes that are left, and waits until there is none.
+    fn end_descendants(&mut self) {
+        let mut next_tick = now() + TICK;
+        loop {
+            match rustix::process::wait(WaitOptions::NOHANG) {
+                Ok(Some(_)) | Err(rustix::io::Errno::INTR) => {}
+                Err(_) => return,
+                Ok(None) => {
+                    for (process, _) in descendants() {
+                        let _ = kill_process(process, Signal::KILL);
+                    }
+                    wait(Duration::from_millis(1));
                 }
+            }
+            if now() >= next_tick {
+                next_tick = now() + TICK;
+                self.report(|_| {});
             }
         }
     }
@@ -360,22 +379,6 @@ impl Drop for NotifySocket {
     fn drop(&mut self) {
         // Another program may have deleted it.
         let _ = fs::remove_dir_all(&self.folder);
-    }
-}
-
-/// Kills all processes that are left, and waits until there is none.
-fn end_descendants() {
-    loop {
-        match rustix::process::wait(WaitOptions::NOHANG) {
-            Ok(Some(_)) | Err(rustix::io::Errno::INTR) => {}
-            Err(_) => return,
-            Ok(None) => {
-                for (process, _) in descendants() {
-                    let _ = kill_process(process, Signal::KILL);
-                }
-                wait(Duration::from_millis(1));
-            }
-        }
     }
 }
 

@@ -3,7 +3,7 @@
 //! One thread has them all, so that a component that hangs neither ends a program nor holds up its
 //! output.
 
-use super::launcher::{LaunchOrder, ProcessEnd, ProcessStatus, STAGE};
+use super::launcher::{LaunchOrder, ProcessEnd, ProcessStatus, STAGE, TICK};
 use super::output_lines::read_lines;
 use super::{sleep, start_thread, tell_person};
 use rustix::process::{Pid, Signal, kill_process_group};
@@ -25,6 +25,8 @@ use tracing::info;
 
 /// What the program has written is in the pipe when its launcher ends.
 const PRINTED_WITHIN: Duration = Duration::from_secs(1);
+/// A launcher that has missed so many reports in a row stands still.
+const REPORTS_MISSED: u32 = 3;
 
 /// The program that is run as a launcher: the one that is named, else this one.
 static LAUNCHER: [OnceLock<PathBuf>; 2] = [const { OnceLock::new() }; 2];
@@ -144,19 +146,28 @@ async fn follow(
         [log(&call.name, launcher.stdout.take()), log(&call.name, launcher.stderr.take())];
     let (reports, socket) = UnixStream::from_std(own)?.into_split();
     let (mut reports, mut socket) = (BufReader::new(reports).lines(), Some(socket));
-    let (mut end, mut process) = (None, None);
+    let (mut end, mut process, mut missed) = (None, None, 0);
     loop {
         let line = tokio::select! {
+            biased;
             line = reports.next_line() => line,
             _ = stopped.wait_for(|stopped| *stopped), if socket.is_some() => {
                 // Its end is what the launcher takes for the order to stop.
                 socket = None;
                 continue;
             }
+            // It says nothing while its program begins.
+            () = sleep(TICK), if process.is_some() => {
+                missed += 1;
+                if missed == REPORTS_MISSED {
+                    launcher.start_kill()?;
+                }
+                continue;
+            }
         };
         let Ok(Some(line)) = line else { break };
         let mut status: ProcessStatus = serde_json::from_str(&line)?;
-        (end, process) = (status.end.take(), status.process);
+        (end, process, missed) = (status.end.take(), status.process, 0);
         sender.send_replace(status);
     }
     drop(socket);
@@ -167,11 +178,17 @@ async fn follow(
     }
     finish_output(outputs).await;
     let lost = || {
-        ProcessEnd::Failed(format!(
-            "its launcher {} ended with {exit}: it was killed, or its `main` does not begin with \
-             `blastema::launch_processes()`",
-            program.display()
-        ))
+        let launcher = program.display();
+        ProcessEnd::Failed(match missed {
+            0..REPORTS_MISSED => format!(
+                "its launcher {launcher} ended with {exit}: it was killed, or its `main` does not begin with \
+                 `blastema::launch_processes()`"
+            ),
+            _ => format!(
+                "its launcher {launcher} stood still for {missed} s, and was killed: look for who stopped it \
+                 (SIGSTOP, a debugger), or for what keeps the computer from running it"
+            ),
+        })
     };
     Ok(end.unwrap_or_else(lost))
 }

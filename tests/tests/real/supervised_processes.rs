@@ -266,6 +266,27 @@ fn nothing_outlives_a_node_that_was_killed_nor_its_launcher() {
     }
 }
 
+#[test]
+fn a_launcher_that_stands_still_is_killed_and_its_program_serves_again() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let mut node = Node::builder("module1").child(trial("sleeps", &["sleep"]).child());
+        let mut events = node.fault_events();
+        let node = node.start().await.unwrap();
+        let first = process(&node, "sleeps", 1).await;
+        signal("-STOP", &parent_of(&first));
+
+        let detail = fault(&mut events, &at(&node, "sleeps")).await.detail;
+        assert!(detail.contains("stood still for 3 s"), "{detail}");
+        let second = process(&node, "sleeps", 2).await;
+        gone(&first).await;
+
+        signal("-STOP", &parent_of(&second));
+        node.shutdown().await;
+        gone(&second).await;
+    });
+}
+
 fn parent_of(process: &str) -> String {
     let stat = fs::read_to_string(format!("/proc/{process}/stat")).unwrap();
     let fields = stat.rsplit_once(')').unwrap().1.split_whitespace();
