@@ -59,7 +59,7 @@ pub(crate) struct LaunchOrder {
 }
 
 /// What is known of a process. The launcher sends it whenever it changes, and at each tick.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct ProcessStatus {
     /// The program's process, whose process group it leads.
     pub(crate) process: Option<i32>,
@@ -78,7 +78,7 @@ pub(crate) struct ProcessStatus {
 }
 
 /// How a process has ended.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) enum ProcessEnd {
     /// It was not started, or its launcher has ended.
     Failed(String),
@@ -95,9 +95,9 @@ pub(crate) fn take_stage() {
             let node = io::stdin().as_fd().try_clone_to_owned().map(UnixStream::from);
             let order = env::args().nth(1).and_then(|order| serde_json::from_str(&order).ok());
             let (Ok(node), Some(order)) = (node, order) else { exit(1) };
-            let (reported, status) = Default::default();
+            let (reported, next_tick) = (ProcessStatus::default(), now() + TICK);
             let mut launcher =
-                Launcher { node, order, sign: None, is_judged: false, reported, status };
+                Launcher { node, order, sign: None, is_judged: false, reported, next_tick };
             let end = launcher.run().unwrap_or_else(|error| ProcessEnd::Failed(error.to_string()));
             launcher.report(|status| status.end = Some(end));
             exit(0)
@@ -134,17 +134,15 @@ struct Launcher {
     sign: Option<Instant>,
     /// A failure was reported, or it is to stop: what it does until its end is of no interest.
     is_judged: bool,
-    /// The status that was last reported to the node.
+    /// What is reported to the node.
     reported: ProcessStatus,
-    /// The last `STATUS=`, which the next report contains, at the latest that of the next tick.
-    status: String,
+    next_tick: Instant,
 }
 
 impl Launcher {
     /// Reports to the node what has changed.
     fn report(&mut self, change: impl FnOnce(&mut ProcessStatus)) {
         change(&mut self.reported);
-        self.reported.status.clone_from(&self.status);
         let line = serde_json::to_string(&self.reported).expect("a status is plain data");
         // A node that has ended is found by the end of the socket.
         let _ = self.node.write_all(format!("{line}\n").as_bytes());
@@ -178,10 +176,10 @@ impl Launcher {
         socket: &UnixDatagram,
         lives: BorrowedFd<'_>,
     ) -> io::Result<ProcessEnd> {
-        let (mut next_tick, mut kill_at, mut is_killed) = (now() + TICK, None::<Instant>, false);
+        let (mut kill_at, mut is_killed) = (None::<Instant>, false);
         loop {
             let wakes = [self.due(), kill_at.filter(|_| !is_killed)];
-            let wake = wakes.into_iter().flatten().fold(next_tick, Instant::min);
+            let wake = wakes.into_iter().flatten().fold(self.next_tick, Instant::min);
             let mut sources = vec![
                 PollFd::from_borrowed_fd(lives, PollFlags::IN),
                 PollFd::from_borrowed_fd(socket.as_fd(), PollFlags::IN),
@@ -219,17 +217,28 @@ impl Launcher {
                 let _ = kill_process_group(program, Signal::KILL);
             }
             self.judge_signs();
-            if now() >= next_tick {
-                next_tick = now() + TICK;
+            if self.tick() {
                 self.judge_memory();
-                self.report(|_| {});
             }
         }
     }
 
+    /// At each tick, reports that the launcher runs; not to a node that stands still, which would
+    /// hold it up.
+    fn tick(&mut self) -> bool {
+        let is_due = now() >= self.next_tick;
+        if is_due {
+            self.next_tick = now() + TICK;
+            let mut node = [PollFd::new(&self.node, PollFlags::OUT)];
+            if poll(&mut node, Some(&Timespec::default())) == Ok(1) {
+                self.report(|_| {});
+            }
+        }
+        is_due
+    }
+
     /// Kills all processes that are left, and waits until there is none.
     fn end_descendants(&mut self) {
-        let mut next_tick = now() + TICK;
         loop {
             match rustix::process::wait(WaitOptions::NOHANG) {
                 Ok(Some(_)) | Err(rustix::io::Errno::INTR) => {}
@@ -241,10 +250,7 @@ impl Launcher {
                     wait(Duration::from_millis(1));
                 }
             }
-            if now() >= next_tick {
-                next_tick = now() + TICK;
-                self.report(|_| {});
-            }
+            self.tick();
         }
     }
 
@@ -310,7 +316,8 @@ impl Launcher {
                 _ => {
                     if let Some(status) = line.strip_prefix("STATUS=") {
                         let plain = status.chars().map(|c| if c.is_control() { ' ' } else { c });
-                        self.status = plain.take(STATUS_MAX).collect();
+                        // For the next report, at the latest that of the next tick.
+                        self.reported.status = plain.take(STATUS_MAX).collect();
                     }
                 }
             }

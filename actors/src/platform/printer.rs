@@ -9,8 +9,10 @@ use std::sync::atomic::Ordering::SeqCst;
 use std::sync::mpsc::{SendError, Sender, channel};
 use std::time::Duration;
 
-/// Lines that wait for the reader. Further ones are left out, and counted.
+/// Lines of programs that wait for the reader. Further ones are left out, and counted.
 const LINES_WAITING: usize = 1_024;
+/// With as many that tell of faults, which a flood of the others does not displace.
+const ALL_WAITING: usize = 2 * LINES_WAITING;
 static WAITING: AtomicUsize = AtomicUsize::new(0);
 static LEFT_OUT: AtomicUsize = AtomicUsize::new(0);
 /// How long the end of a program waits for its reader.
@@ -18,14 +20,19 @@ const FINISHED_WITHIN: Duration = Duration::from_secs(1);
 
 static PRINTER: OnceLock<Sender<Box<dyn FnOnce() + Send>>> = OnceLock::new();
 
-/// Has a line written to standard output.
+/// Has a line of a program written to standard output.
 pub fn print_line(line: String) {
-    print(move || drop(writeln!(io::stdout(), "{line}")));
+    print(LINES_WAITING, move || drop(writeln!(io::stdout(), "{line}")));
+}
+
+/// Has a line of a program written to standard error.
+pub(crate) fn print_error_line(line: String) {
+    print(LINES_WAITING, move || drop(writeln!(io::stderr(), "{line}")));
 }
 
 /// Has written to standard error what a user must know without reading the log.
 pub(crate) fn tell_person(line: String) {
-    print(move || drop(writeln!(io::stderr(), "{line}")));
+    print(ALL_WAITING, move || drop(writeln!(io::stderr(), "{line}")));
 }
 
 /// Waits until all lines are written, for a second at most.
@@ -37,13 +44,13 @@ pub(crate) fn finish_printing() {
 }
 
 /// A reader that has gone is no fault of the robot.
-fn print(write: impl FnOnce() + Send + 'static) {
+fn print(waiting_most: usize, write: impl FnOnce() + Send + 'static) {
     let printer = PRINTER.get_or_init(|| {
         let (lines, waiting) = channel::<Box<dyn FnOnce() + Send>>();
         let _ = start_thread("output", move || waiting.iter().for_each(|write| write()));
         lines
     });
-    if WAITING.fetch_add(1, SeqCst) >= LINES_WAITING {
+    if WAITING.fetch_add(1, SeqCst) >= waiting_most {
         WAITING.fetch_sub(1, SeqCst);
         LEFT_OUT.fetch_add(1, SeqCst);
         return;

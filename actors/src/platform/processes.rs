@@ -5,7 +5,7 @@
 
 use super::launcher::{LaunchOrder, ProcessEnd, ProcessStatus, STAGE, TICK};
 use super::output_lines::read_lines;
-use super::{sleep, start_thread, tell_person};
+use super::{print_error_line, sleep, start_thread};
 use rustix::process::{Pid, Signal, kill_process_group};
 use serde::{Deserialize, Serialize};
 use std::ffi::OsString;
@@ -25,8 +25,9 @@ use tracing::info;
 
 /// What the program has written is in the pipe when its launcher ends.
 const PRINTED_WITHIN: Duration = Duration::from_secs(1);
-/// A launcher that has missed so many reports in a row stands still.
-const REPORTS_MISSED: u32 = 3;
+/// A launcher that has missed so many reports in a row stands still. They are counted one by one:
+/// a node that stood still itself misses one.
+const REPORTS_MISSED: u32 = 4;
 
 /// The program that is run as a launcher: the one that is named, else this one.
 static LAUNCHER: [OnceLock<PathBuf>; 2] = [const { OnceLock::new() }; 2];
@@ -146,7 +147,7 @@ async fn follow(
         [log(&call.name, launcher.stdout.take()), log(&call.name, launcher.stderr.take())];
     let (reports, socket) = UnixStream::from_std(own)?.into_split();
     let (mut reports, mut socket) = (BufReader::new(reports).lines(), Some(socket));
-    let (mut end, mut process, mut missed) = (None, None, 0);
+    let (mut end, mut process, mut missed, mut stood_still) = (None, None, 0, false);
     loop {
         let line = tokio::select! {
             biased;
@@ -157,9 +158,10 @@ async fn follow(
                 continue;
             }
             // It says nothing while its program begins.
-            () = sleep(TICK), if process.is_some() => {
+            () = sleep(TICK), if process.is_some() || socket.is_none() => {
                 missed += 1;
                 if missed == REPORTS_MISSED {
+                    stood_still = true;
                     launcher.start_kill()?;
                 }
                 continue;
@@ -168,7 +170,11 @@ async fn follow(
         let Ok(Some(line)) = line else { break };
         let mut status: ProcessStatus = serde_json::from_str(&line)?;
         (end, process, missed) = (status.end.take(), status.process, 0);
-        sender.send_replace(status);
+        sender.send_if_modified(|known| {
+            let is_new = *known != status;
+            *known = status;
+            is_new
+        });
     }
     drop(socket);
     let exit = launcher.wait().await?;
@@ -178,17 +184,16 @@ async fn follow(
     }
     finish_output(outputs).await;
     let lost = || {
-        let launcher = program.display();
-        ProcessEnd::Failed(match missed {
-            0..REPORTS_MISSED => format!(
-                "its launcher {launcher} ended with {exit}: it was killed, or its `main` does not begin with \
-                 `blastema::launch_processes()`"
-            ),
-            _ => format!(
-                "its launcher {launcher} stood still for {missed} s, and was killed: look for who stopped it \
-                 (SIGSTOP, a debugger), or for what keeps the computer from running it"
-            ),
-        })
+        let why = match stood_still {
+            true => {
+                "it stood still for more than 3 s: look for who stopped it (SIGSTOP, a debugger), or \
+                 for what keeps the computer from running it"
+            }
+            false => {
+                "it was killed, or its `main` does not begin with `blastema::launch_processes()`"
+            }
+        };
+        ProcessEnd::Failed(format!("its launcher {} ended with {exit}: {why}", program.display()))
     };
     Ok(end.unwrap_or_else(lost))
 }
@@ -201,7 +206,7 @@ fn log(
     let (output, name) = (output?, name.to_owned());
     Some(tokio::spawn(read_lines(output, move |line| match tracing::dispatcher::has_been_set() {
         true => info!(process = name, "{line}"),
-        false => tell_person(format!("[{name}] {line}")),
+        false => print_error_line(format!("[{name}] {line}")),
     })))
 }
 

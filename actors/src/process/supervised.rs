@@ -55,11 +55,8 @@ impl SupervisedProcess {
     /// Starts the program when the one before has ended.
     async fn start(&mut self, cx: &Context<Self>) -> Result<RunningProcess, String> {
         let limits = &cx.cell.record.limits;
-        let latest = |next| {
-            let mut latest = lock(&self.settings.latest);
-            std::mem::replace(&mut *latest, next)
-        };
-        if let Some(earlier) = latest(None) {
+        let earlier = lock(&self.settings.latest).take();
+        if let Some(earlier) = earlier {
             earlier.stop();
             earlier.ended().await;
         }
@@ -74,7 +71,7 @@ impl SupervisedProcess {
             ready_at_start: spec.ready_at_start,
         };
         let running = start_process(spec.call.clone(), order).map_err(|error| error.to_string())?;
-        latest(Some(running.clone()));
+        *lock(&self.settings.latest) = Some(running.clone());
         self.running = Some(running.clone());
         Ok(running)
     }
@@ -88,14 +85,15 @@ impl SupervisedProcess {
         running.stop();
         let end = running.ended().await;
         self.running = None;
-        if let ProcessEnd::Ended { is_killed: true, .. } = end {
-            let (name, within) = (cx.name(), before(within));
-            warn!(
+        let (name, within) = (cx.name(), before(within));
+        match end {
+            ProcessEnd::Ended { is_killed: true, .. } => warn!(
                 "{name} had not ended {within:?} after SIGTERM, and was killed: have it end then, or raise \
                  `shutdown_within`"
-            );
-        } else if !had_ended {
-            info!("{} has stopped", cx.name());
+            ),
+            _ if had_ended => {}
+            ProcessEnd::Failed(why) => warn!("{name}: {why}"),
+            ProcessEnd::Ended { .. } => info!("{name} has stopped"),
         }
     }
 
@@ -129,31 +127,20 @@ impl SupervisedProcess {
                     let failure = Failure::fatal(with_status(text));
                     state.defer(|wishes| wishes.failure = Some(failure));
                 };
-                match (&now.end, now.resident) {
-                    (Some(end), _) => {
-                        match describe(end) {
-                            Some(text) => fail(text),
-                            None => {
-                                info!("{} has ended with exit status 0", cell.record.name);
-                                state.defer(|wishes| wishes.stop = true);
-                            }
-                        }
-                        return;
-                    }
-                    (None, Some(resident)) => {
-                        let limit = settings.spec.memory_limit.unwrap_or_default();
-                        let (resident, limit) = (mebibytes(resident), mebibytes(limit));
-                        fail(format!(
-                            "its processes have {resident} of memory resident, and {limit} are allowed: look for \
-                             a leak, or raise `memory_limit`"
-                        ));
-                        return;
-                    }
-                    (None, None) if now.is_stopping => {
-                        state.defer(|wishes| wishes.stop = true);
-                        return;
-                    }
-                    (None, None) => {}
+                if let Some(text) = now.end.as_ref().and_then(describe) {
+                    return fail(text);
+                }
+                if now.end.is_some() || now.is_stopping {
+                    info!("{} ends by itself", cell.record.name);
+                    return state.defer(|wishes| wishes.stop = true);
+                }
+                if let Some(resident) = now.resident {
+                    let limit = settings.spec.memory_limit.unwrap_or_default();
+                    let (resident, limit) = (mebibytes(resident), mebibytes(limit));
+                    return fail(format!(
+                        "its processes have {resident} of memory resident, and {limit} are allowed: look for \
+                         a leak, or raise `memory_limit`"
+                    ));
                 }
                 if let (Some(triggered), None) = (now.is_silent, reported.is_silent) {
                     let text = match (triggered, settings.spec.watchdog) {
