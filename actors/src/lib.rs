@@ -258,6 +258,7 @@ pub use blastema_core::{Fault, FaultId, FaultKind, FaultLocation, Instant, Lifec
 /// Types to implement a medium of one's own, which is passed to [`Network::own`].
 pub mod medium {
     pub use blastema_contract::transport::MediumAddress;
+    pub use blastema_core::medium::lane::FrameLane;
     pub use blastema_transports::Reach;
     pub use blastema_transports::frame_medium::{
         FrameMedium, MediumEvent, OpenedMedium, QueueLimits, SendResult,

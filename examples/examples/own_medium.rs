@@ -3,7 +3,7 @@
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::medium::{
-    Bytes, FrameMedium, MediumAddress, MediumEvent, OpenedMedium, Reach, SendResult,
+    Bytes, FrameLane, FrameMedium, MediumAddress, MediumEvent, OpenedMedium, Reach, SendResult,
 };
 use blastema::prelude::*;
 use blastema::{Link, Network};
@@ -72,6 +72,7 @@ impl FrameMedium for Fifos {
         task: &mut task::Context<'_>,
         _: &MediumAddress,
         frame: &Bytes,
+        _: FrameLane,
     ) -> Poll<io::Result<SendResult>> {
         let Some((_, sender)) = &mut self.open else { return Poll::Ready(Ok(SendResult::Dropped)) };
         let length = (frame.len() as u16).to_be_bytes(); // it is within the mtu

@@ -178,28 +178,6 @@ impl<P: CanPort> CanNode<P> {
         self.arrivals.push_back(MediumEvent::Clash { text });
     }
 
-    fn send(
-        &mut self,
-        task: &mut Context<'_>,
-        to: &MediumAddress,
-        frame: &Bytes,
-        lane: FrameLane,
-    ) -> io::Result<SendResult> {
-        let (MediumAddress::Can(to), Some(machine)) = (to, &mut self.machine) else {
-            return Ok(SendResult::Dropped);
-        };
-        let taken = machine.handle_message(BusAddress(*to), seal(frame), lane, (self.now)());
-        if let Err(error) = taken {
-            tracing::trace!(%error, "a frame was not taken for CAN");
-            return Ok(SendResult::Dropped);
-        }
-        if self.write(task)? {
-            task.waker().wake_by_ref();
-        }
-        self.settle();
-        Ok(SendResult::Sent)
-    }
-
     /// Moves what can be moved, within a turn. Says whether there may be more.
     fn carry_on(&mut self, task: &mut Context<'_>) -> io::Result<bool> {
         let more = self.write(task)?;
@@ -310,17 +288,21 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
         task: &mut Context<'_>,
         to: &MediumAddress,
         frame: &Bytes,
+        lane: FrameLane,
     ) -> Poll<io::Result<SendResult>> {
-        Poll::Ready(self.send(task, to, frame, FrameLane::Usual))
-    }
-
-    fn poll_send_urgent(
-        &mut self,
-        task: &mut Context<'_>,
-        to: &MediumAddress,
-        frame: &Bytes,
-    ) -> Poll<io::Result<SendResult>> {
-        Poll::Ready(self.send(task, to, frame, FrameLane::Urgent))
+        let (MediumAddress::Can(to), Some(machine)) = (to, &mut self.machine) else {
+            return Poll::Ready(Ok(SendResult::Dropped));
+        };
+        let taken = machine.handle_message(BusAddress(*to), seal(frame), lane, (self.now)());
+        if let Err(error) = taken {
+            tracing::trace!(%error, "a frame was not taken for CAN");
+            return Poll::Ready(Ok(SendResult::Dropped));
+        }
+        if self.write(task)? {
+            task.waker().wake_by_ref();
+        }
+        self.settle();
+        Poll::Ready(Ok(SendResult::Sent))
     }
 
     fn poll_receive(&mut self, task: &mut Context<'_>) -> Poll<io::Result<MediumEvent>> {

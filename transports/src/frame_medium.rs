@@ -3,6 +3,7 @@
 
 use crate::reach::Reach;
 use blastema_contract::transport::MediumAddress;
+use blastema_core::medium::lane::FrameLane;
 use bytes::Bytes;
 use std::io;
 use std::task::{Context, Poll};
@@ -59,7 +60,8 @@ pub trait FrameMedium: Send + 'static {
     }
 
     /// Gives a frame to the medium. Where the answer is `Pending`, it is called with the same frame
-    /// again, until it is ready or the medium is closed.
+    /// again, until it is ready or the medium is closed. The lane is for a medium that holds frames
+    /// back itself: those of an earlier one overtake those of a later one.
     ///
     /// # Errors
     /// The medium is lost: it is closed, and opened again.
@@ -68,21 +70,8 @@ pub trait FrameMedium: Send + 'static {
         task: &mut Context<'_>,
         to: &MediumAddress,
         frame: &Bytes,
+        lane: FrameLane,
     ) -> Poll<io::Result<SendResult>>;
-
-    /// The same for an urgent frame. For a medium that holds frames back itself; others see no
-    /// difference.
-    ///
-    /// # Errors
-    /// As [`poll_send`](FrameMedium::poll_send).
-    fn poll_send_urgent(
-        &mut self,
-        task: &mut Context<'_>,
-        to: &MediumAddress,
-        frame: &Bytes,
-    ) -> Poll<io::Result<SendResult>> {
-        self.poll_send(task, to, frame)
-    }
 
     /// Takes what the medium has. It is also the place to look after whatever must go on by itself.
     ///

@@ -96,13 +96,7 @@ impl FrameTransport {
                 self.going = next.map(|(lane, (to, frame))| Going { lane, to, frame });
             }
             let Some(Going { lane, to, frame }) = &self.going else { return true };
-            let sent = match lane {
-                FrameLane::Hello | FrameLane::Urgent => {
-                    self.medium.poll_send_urgent(task, to, frame)
-                }
-                FrameLane::Usual => self.medium.poll_send(task, to, frame),
-            };
-            match sent {
+            match self.medium.poll_send(task, to, frame, *lane) {
                 Poll::Pending => return true,
                 Poll::Ready(Ok(sending)) => {
                     match sending {

@@ -3,6 +3,7 @@
 use crate::frame_medium::{FrameMedium, MediumEvent, OpenedMedium, QueueLimits, SendResult};
 use crate::reach::Reach;
 use blastema_contract::transport::MediumAddress;
+use blastema_core::medium::lane::FrameLane;
 use bytes::Bytes;
 use std::collections::{BTreeMap, VecDeque};
 use std::io;
@@ -159,6 +160,7 @@ impl FrameMedium for Memory {
         _: &mut Context<'_>,
         to: &MediumAddress,
         frame: &Bytes,
+        _: FrameLane,
     ) -> Poll<io::Result<SendResult>> {
         let end = match to {
             MediumAddress::Memory(to) => self.medium.end(to),

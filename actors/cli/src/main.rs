@@ -17,6 +17,7 @@ mod operator;
 mod robot;
 
 use args::{Arguments, FaultJob, Subcommand, TreeJob};
+use blastema::platform::print;
 use clap::Parser;
 use std::io::{self, Write};
 use std::process::ExitCode;
@@ -55,16 +56,5 @@ fn main() -> ExitCode {
             let _ = writeln!(io::stderr(), "blastema: {reason}");
             ExitCode::from(NOT_DONE)
         }
-    }
-}
-
-/// Prints on standard output. A reader that has closed its end, as `head` does, has seen enough.
-fn print(text: &str) -> Result<(), String> {
-    let printed = io::stdout().write_all(text.as_bytes()).and_then(|()| io::stdout().flush());
-    match printed {
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
-            Err(format!("standard output cannot be written: {error}"))
-        }
-        _ => Ok(()),
     }
 }

@@ -8,7 +8,7 @@ use crate::launch::{FAILED, Launch, LaunchFailure, NOT_UP};
 use crate::own_process::run_arguments;
 use crate::reader::{self, RobotReading};
 use crate::types::Types;
-use blastema::NodeState;
+use blastema::{NodeState, StartError, platform};
 use clap::{Parser, Subcommand};
 use serde_json::json;
 use std::fmt;
@@ -110,16 +110,8 @@ fn name_and_value(text: &str) -> Result<(String, String), String> {
     Ok((parts.0.to_owned(), parts.1.to_owned()))
 }
 
-/// Prints to standard output; a reader that has gone is no fault of the robot.
 fn print(text: &str) -> ExitCode {
-    let mut out = io::stdout().lock();
-    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
-            complain(&format!("standard output: {error}"));
-            ExitCode::from(FAILED)
-        }
-        _ => ExitCode::SUCCESS,
-    }
+    ended(platform::print(text).map_err(|reason| LaunchFailure { status: FAILED, reason }))
 }
 
 fn complain(text: &str) {
@@ -245,8 +237,13 @@ impl Types {
     }
 
     fn run_node(&self, robot: &RobotDescription, name: &str, until_stdin_ends: bool) -> ExitCode {
-        let ran: Result<(), (u8, String)> = blastema::run(async {
-            let builder = self.node(robot, name).map_err(|error| (FAILED, error))?;
+        let failed = |status, error: String| {
+            let reason = format!("node {name}: {error}");
+            LaunchFailure { status, reason }
+        };
+        let not_up = |error: StartError| failed(NOT_UP, error.to_string());
+        ended(blastema::run(async {
+            let builder = self.node(robot, name).map_err(|error| failed(FAILED, error))?;
             let (ended, stdin_ended) = tokio::sync::oneshot::channel();
             if until_stdin_ends {
                 std::thread::spawn(move || {
@@ -264,16 +261,12 @@ impl Types {
             let is_process = robot.node(name).is_some_and(|node| node.process_of.is_some());
             if is_process {
                 let ended = builder.notify_systemd().run_to_safe_state(end).await;
-                return match ended.map_err(|error| (NOT_UP, error.to_string()))? {
-                    NodeState::InSafeState { reason } => Err((FAILED, reason)),
+                return match ended.map_err(not_up)? {
+                    NodeState::InSafeState { reason } => Err(failed(FAILED, reason)),
                     _ => Ok(()),
                 };
             }
-            builder.run_until(end).await.map_err(|error| (NOT_UP, error.to_string()))
-        });
-        ended(ran.map_err(|(status, error)| LaunchFailure {
-            status,
-            reason: format!("node {name}: {error}"),
+            builder.run_until(end).await.map_err(not_up)
         }))
     }
 

@@ -20,19 +20,32 @@ const FINISHED_WITHIN: Duration = Duration::from_secs(1);
 
 static PRINTER: OnceLock<Sender<Box<dyn FnOnce() + Send>>> = OnceLock::new();
 
+/// Prints on standard output. A reader that has closed its end, as `head` does, has seen enough.
+///
+/// # Errors
+/// It cannot be written, for a reason that the text says.
+pub fn print(text: &str) -> Result<(), String> {
+    match io::stdout().write_all(text.as_bytes()).and_then(|()| io::stdout().flush()) {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+            Err(format!("standard output cannot be written: {error}"))
+        }
+        _ => Ok(()),
+    }
+}
+
 /// Has a line of a program written to standard output.
 pub fn print_line(line: String) {
-    print(LINES_WAITING, move || drop(writeln!(io::stdout(), "{line}")));
+    enqueue(LINES_WAITING, move || drop(writeln!(io::stdout(), "{line}")));
 }
 
 /// Has a line of a program written to standard error.
 pub(crate) fn print_error_line(line: String) {
-    print(LINES_WAITING, move || drop(writeln!(io::stderr(), "{line}")));
+    enqueue(LINES_WAITING, move || drop(writeln!(io::stderr(), "{line}")));
 }
 
 /// Has written to standard error what a user must know without reading the log.
 pub(crate) fn tell_person(line: String) {
-    print(ALL_WAITING, move || drop(writeln!(io::stderr(), "{line}")));
+    enqueue(ALL_WAITING, move || drop(writeln!(io::stderr(), "{line}")));
 }
 
 /// Waits until all lines are written, for a second at most.
@@ -44,7 +57,7 @@ pub(crate) fn finish_printing() {
 }
 
 /// A reader that has gone is no fault of the robot.
-fn print(waiting_most: usize, write: impl FnOnce() + Send + 'static) {
+fn enqueue(waiting_most: usize, write: impl FnOnce() + Send + 'static) {
     let printer = PRINTER.get_or_init(|| {
         let (lines, waiting) = channel::<Box<dyn FnOnce() + Send>>();
         let _ = start_thread("output", move || waiting.iter().for_each(|write| write()));

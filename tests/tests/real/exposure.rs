@@ -2,7 +2,7 @@
 //! refused. No other test here keeps a log: a subscriber counts for all threads.
 
 use blastema::medium::{
-    Bytes, FrameMedium, MediumAddress, MediumEvent, OpenedMedium, Reach, SendResult,
+    Bytes, FrameLane, FrameMedium, MediumAddress, MediumEvent, OpenedMedium, Reach, SendResult,
 };
 use blastema::prelude::*;
 use blastema::{MemoryMedium, Network, NodeBuilder, StartError};
@@ -61,6 +61,7 @@ impl FrameMedium for Silent {
         _: &mut task::Context<'_>,
         _: &MediumAddress,
         _: &Bytes,
+        _: FrameLane,
     ) -> Poll<io::Result<SendResult>> {
         Poll::Ready(Ok(SendResult::Dropped))
     }

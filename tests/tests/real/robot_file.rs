@@ -585,7 +585,7 @@ fn check_graph_and_describe_say_what_there_is() {
     let described = described.expect("it starts");
     let errors = String::from_utf8_lossy(&described.stderr);
     assert_eq!(described.status.code(), Some(1), "{errors}");
-    assert!(errors.starts_with("standard output: "), "{errors}");
+    assert!(errors.starts_with("standard output cannot be written: "), "{errors}");
 
     fs::write(&file, fs::read_to_string(&file).unwrap().replace("many", "0")).unwrap();
     let drawn = run(&["graph", &file, "--format", "dot"]);

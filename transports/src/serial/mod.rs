@@ -28,6 +28,7 @@ use crate::medium_timer::MediumTimer;
 use crate::usb_device::{is_usb_device, unopened};
 use blastema_contract::transport::MediumAddress;
 use blastema_core::Instant;
+use blastema_core::medium::lane::FrameLane;
 use bytes::Bytes;
 use std::io;
 use std::path::Path;
@@ -177,6 +178,7 @@ impl FrameMedium for SerialLine {
         task: &mut Context<'_>,
         _: &MediumAddress,
         frame: &Bytes,
+        _: FrameLane,
     ) -> Poll<io::Result<SendResult>> {
         if self.outgoing.is_empty() {
             encode(frame, &mut self.outgoing);

@@ -4,6 +4,7 @@ use actix::prelude::*;
 use blastema_contract::transport::{
     Attach, MediumAddress, ReadCounters, Received, Transmit, TransportCounters, TransportReport,
 };
+use blastema_core::medium::lane::FrameLane;
 use blastema_doubles::{Probe, advance};
 use blastema_transports::FrameTransport;
 use blastema_transports::frame_medium::{
@@ -76,6 +77,7 @@ impl FrameMedium for Puppet {
         task: &mut Task<'_>,
         _: &MediumAddress,
         frame: &Bytes,
+        _: FrameLane,
     ) -> Poll<io::Result<SendResult>> {
         let mut play = self.play();
         if std::mem::take(&mut play.breaks) {

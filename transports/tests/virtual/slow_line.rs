@@ -66,6 +66,7 @@ impl FrameMedium for SlowLine {
         task: &mut Context<'_>,
         _: &MediumAddress,
         frame: &Bytes,
+        _: FrameLane,
     ) -> Poll<io::Result<SendResult>> {
         let span = self.config.time_of(encoded_length(frame.len()));
         let busy = self.busy.get_or_insert_with(|| Box::pin(tokio::time::sleep(span)));

@@ -19,7 +19,7 @@
 //! frames prove is the seal's business.
 
 use crate::ends::{CHUNK, Ends, is_chunk, on_own_thread, unopened};
-use blastema::medium::{Bytes, FrameMedium, MediumAddress, MediumEvent, OpenedMedium, SendResult};
+use blastema::medium::{Bytes, FrameLane, FrameMedium, MediumAddress, MediumEvent, OpenedMedium, SendResult};
 use std::collections::VecDeque;
 use std::fmt;
 use std::io;
@@ -113,29 +113,6 @@ impl ZenohNetwork {
     fn end(&self) -> io::Result<&Arc<End>> {
         self.end.as_ref().ok_or_else(|| io::Error::from(io::ErrorKind::NotConnected))
     }
-
-    fn send(
-        &self,
-        task: &mut Context<'_>,
-        to: &MediumAddress,
-        frame: &Bytes,
-        outgoing: impl Fn(&mut Shared) -> &mut Outgoing,
-    ) -> Poll<io::Result<SendResult>> {
-        let end = self.end()?;
-        let MediumAddress::Own(name) = to else { return Poll::Ready(Ok(SendResult::Dropped)) };
-        let mut shared = end.lock();
-        if let Some(why) = &shared.failed {
-            return Poll::Ready(Err(io::Error::other(why.clone())));
-        }
-        let outgoing = outgoing(&mut shared);
-        if outgoing.frames.len() >= OUTGOING_MAX {
-            outgoing.sender = Some(task.waker().clone());
-            return Poll::Pending;
-        }
-        outgoing.frames.push_back((name.clone(), frame.clone()));
-        outgoing.more.notify_one();
-        Poll::Ready(Ok(SendResult::Sent))
-    }
 }
 
 impl fmt::Debug for ZenohNetwork {
@@ -183,17 +160,24 @@ impl FrameMedium for ZenohNetwork {
         task: &mut Context<'_>,
         to: &MediumAddress,
         frame: &Bytes,
+        lane: FrameLane,
     ) -> Poll<io::Result<SendResult>> {
-        self.send(task, to, frame, |shared| &mut shared.usual)
-    }
-
-    fn poll_send_urgent(
-        &mut self,
-        task: &mut Context<'_>,
-        to: &MediumAddress,
-        frame: &Bytes,
-    ) -> Poll<io::Result<SendResult>> {
-        self.send(task, to, frame, |shared| &mut shared.urgent)
+        let mut shared = self.end()?.lock();
+        let MediumAddress::Own(name) = to else { return Poll::Ready(Ok(SendResult::Dropped)) };
+        if let Some(why) = &shared.failed {
+            return Poll::Ready(Err(io::Error::other(why.clone())));
+        }
+        let outgoing = match lane {
+            FrameLane::Hello | FrameLane::Urgent => &mut shared.urgent,
+            FrameLane::Usual => &mut shared.usual,
+        };
+        if outgoing.frames.len() >= OUTGOING_MAX {
+            outgoing.sender = Some(task.waker().clone());
+            return Poll::Pending;
+        }
+        outgoing.frames.push_back((name.clone(), frame.clone()));
+        outgoing.more.notify_one();
+        Poll::Ready(Ok(SendResult::Sent))
     }
 
     fn poll_receive(&mut self, task: &mut Context<'_>) -> Poll<io::Result<MediumEvent>> {
