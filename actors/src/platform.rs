@@ -25,8 +25,8 @@ pub(crate) mod watchdog_device;
 
 #[cfg(feature = "process")]
 pub use output_lines::read_lines;
-pub(crate) use printer::{finish_printing, print_error_line, tell_person};
-pub use printer::{print, print_line};
+pub(crate) use printer::{finish_printing, tell_person};
+pub use printer::{print, print_error_line, print_line};
 #[cfg(feature = "process")]
 pub use processes::finish_output;
 pub use signals::{Termination, Terminations};

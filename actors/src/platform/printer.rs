@@ -39,7 +39,7 @@ pub fn print_line(line: String) {
 }
 
 /// Has a line of a program written to standard error.
-pub(crate) fn print_error_line(line: String) {
+pub fn print_error_line(line: String) {
     enqueue(LINES_WAITING, move || drop(writeln!(io::stderr(), "{line}")));
 }
 
