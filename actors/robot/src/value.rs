@@ -102,10 +102,13 @@ pub(crate) fn flag(text: &str) -> ParsedValue<bool> {
 
 /// A whole number.
 pub(crate) fn count<T: TryFrom<u64>>(text: &str) -> ParsedValue<T> {
-    let digits = !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
-    match text.parse::<u64>().ok().filter(|_| digits).map(T::try_from) {
-        Some(Ok(count)) => Ok(count),
-        Some(Err(_)) => wrong(format!("`{text}` is too large"), "a whole number", "write less"),
+    let is_number = !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    let count = text.parse::<u64>().ok().and_then(|count| T::try_from(count).ok());
+    match count.filter(|_| is_number) {
+        Some(count) => Ok(count),
+        None if is_number => {
+            wrong(format!("`{text}` is too large"), "a whole number", "write less")
+        }
         None => {
             let help = "write digits alone, without a unit";
             wrong(format!("`{text}` is not a whole number"), "a whole number", help)
@@ -131,7 +134,7 @@ fn with_unit(what: &str, units: &[(&str, f64)], text: &str) -> ParsedValue<f64> 
             let help = format!("write a number and its unit, as in `100{}`", units[0].0);
             wrong(format!("`{text}` is not {what}"), what, help)
         }
-        (Ok(_), None) if unit.trim() != unit && !unit.trim().is_empty() => {
+        (Ok(_), None) if units.iter().any(|(known, _)| *known == unit.trim()) => {
             let help = format!("write `{digits}{}`", unit.trim());
             wrong(format!("{what} has no space"), what, help)
         }

@@ -38,7 +38,8 @@ pub(super) fn edited(
 }
 
 fn run_editor(path: &Path) -> Result<(), String> {
-    let editor = env::var("VISUAL").or_else(|_| env::var("EDITOR")).unwrap_or("vi".to_owned());
+    let named = |name| env::var(name).ok().filter(|editor| !editor.is_empty());
+    let editor = named("VISUAL").or_else(|| named("EDITOR")).unwrap_or("vi".to_owned());
     // The variable may hold options as well.
     let status =
         Command::new("sh").args(["-c", &format!("{editor} \"$1\""), "sh"]).arg(path).status();

@@ -87,7 +87,9 @@ pub(crate) fn new(options: &NewOptions) -> Result<(), String> {
     let sources = fs::canonicalize(&sources).ok().filter(|path| path.join("actors/robot").is_dir());
     let sources =
         sources.ok_or("write --blastema FOLDER, with the folder of Blastema's sources")?;
-    fs::create_dir(folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+    fs::create_dir(folder).map_err(|error| {
+        format!("{}: {error}: name a new folder, below one that there is", folder.display())
+    })?;
     for (file, text) in FILES {
         let filled = |text: &str| {
             text.replace("{{name}}", name).replace("{{blastema}}", &sources.display().to_string())
