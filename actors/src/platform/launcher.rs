@@ -56,6 +56,8 @@ pub(crate) struct LaunchOrder {
     pub(crate) memory_limit: Option<u64>,
     /// It does not say `READY=1`.
     pub(crate) ready_at_start: bool,
+    /// Where the launcher hears the program. The node removes it after a launcher that was killed.
+    pub(crate) folder: PathBuf,
 }
 
 /// What is known of a process. The launcher sends it whenever it changes, and at each tick.
@@ -122,7 +124,11 @@ fn start(launcher: &str) -> ! {
     };
     if let Ok(mut outcome) = outcome {
         // A launcher that has ended needs no answer.
-        let _ = write!(outcome, "{} could not be started: {error}", program.display());
+        let _ = write!(
+            outcome,
+            "{} could not be started: {error}; a script needs the program of its first line",
+            program.display()
+        );
     }
     exit(127)
 }
@@ -156,7 +162,7 @@ impl Launcher {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
         let _entered = runtime.enter();
         let _signals = Terminations::listen()?;
-        let socket = NotifySocket::open()?;
+        let socket = NotifySocket::open(self.order.folder.clone())?;
         let ended = spawn(self.order.watchdog, &socket).and_then(|program| {
             let lives = pidfd_open(program, PidfdFlags::empty())?;
             let is_ready = self.order.ready_at_start;
@@ -353,9 +359,7 @@ struct NotifySocket {
 impl NotifySocket {
     const NAME: &str = "notify";
 
-    fn open() -> io::Result<Self> {
-        let name = format!("blastema-{}-{:016x}", std::process::id(), random_seed());
-        let folder = runtime_folder().join(name);
+    fn open(folder: PathBuf) -> io::Result<Self> {
         DirBuilder::new().mode(0o700).create(&folder).map_err(|error| {
             let text = format!(
                 "{}: {error}: set XDG_RUNTIME_DIR to a folder of the user of this program",

@@ -182,6 +182,8 @@ async fn follow(
         // The program has died with its launcher, and others of its group may live.
         let _ = kill_process_group(group, Signal::KILL);
     }
+    // It is there if the launcher was killed.
+    let _ = std::fs::remove_dir_all(&order.folder);
     finish_output(outputs).await;
     let lost = || {
         let why = match stood_still {

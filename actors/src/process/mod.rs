@@ -18,6 +18,7 @@ use crate::component::declaration::Declarations;
 use crate::component::spec_error::SpecError;
 use crate::host::spec::ChildSpec;
 use crate::liveness::limits::ComponentLimits;
+use crate::platform::launcher::STAGE;
 use crate::platform::processes::{ProgramCall, launcher};
 use crate::settings::{MEMORY_LIMIT, WATCHDOG};
 use blastema_core::ObjectName;
@@ -148,6 +149,13 @@ impl ProcessSpec {
             let why =
                 format!("there is no folder {}: make it, or correct `folder`", folder.display());
             return Some(("folder", why));
+        }
+        let mut names = self.call.variables.iter().map(|(name, _)| name.to_string_lossy());
+        let own = ["NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", STAGE];
+        let is_wrong = |name: &str| name.is_empty() || name.contains('=') || own.contains(&name);
+        if let Some(name) = names.find(|name| is_wrong(name)) {
+            let why = format!("`{name}` is no variable that can be set: write another name");
+            return Some(("variable", why));
         }
         let place = |path: &Path| folder.as_ref().map_or(path.to_owned(), |at| at.join(path));
         let check = |path: &Path| check_program(path, &program.display());

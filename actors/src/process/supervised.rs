@@ -10,14 +10,14 @@
 use super::ProcessSpec;
 use crate::component::context::Context;
 use crate::component::{Component, Failure};
-use crate::platform::launcher::{LaunchOrder, ProcessEnd, ProcessStatus};
+use crate::platform::launcher::{LaunchOrder, ProcessEnd, ProcessStatus, runtime_folder};
 use crate::platform::processes::{RunningProcess, start_process};
-use crate::platform::{lock, sleep};
+use crate::platform::{lock, random_seed, sleep};
 use blastema_contract::reports::StateReported;
 use blastema_core::{FaultKind, Lifecycle};
 use std::future::poll_fn;
 use std::os::unix::process::ExitStatusExt;
-use std::process::ExitStatus;
+use std::process::{ExitStatus, id};
 use std::sync::{Arc, Mutex};
 use std::task::Poll;
 use std::time::Duration;
@@ -69,6 +69,7 @@ impl SupervisedProcess {
             watchdog: spec.watchdog,
             memory_limit: spec.memory_limit,
             ready_at_start: spec.ready_at_start,
+            folder: runtime_folder().join(format!("blastema-{}-{:016x}", id(), random_seed())),
         };
         let running = start_process(spec.call.clone(), order).map_err(|error| error.to_string())?;
         *lock(&self.settings.latest) = Some(running.clone());
@@ -174,7 +175,8 @@ impl Component for SupervisedProcess {
             match found.end {
                 Some(end) if !found.is_ready => Err(match describe(&end) {
                     Some(text) => format!("before it was ready, {text}"),
-                    None => "it ended before it was ready, with exit status 0".to_owned(),
+                    None => "it ended before it was ready, with exit status 0: have it say READY=1 and run on"
+                        .to_owned(),
                 }),
                 _ => Ok(running),
             }

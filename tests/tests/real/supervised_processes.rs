@@ -284,6 +284,10 @@ fn a_launcher_that_stands_still_is_killed_and_its_program_serves_again() {
         signal("-STOP", &parent_of(&second));
         node.shutdown().await;
         gone(&second).await;
+        let own = format!("blastema-{}-", std::process::id());
+        let is_left = |entry: fs::DirEntry| entry.file_name().to_string_lossy().starts_with(&own);
+        let left = || fs::read_dir(blastema::runtime_folder()).unwrap().flatten().any(is_left);
+        until(async || !left(), "its folder is removed").await;
     });
 }
 
