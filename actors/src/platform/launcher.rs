@@ -11,7 +11,7 @@
 //! manager. Deliberately not here: what is done about a program that fails, which is the node's.
 
 use super::signals::Terminations;
-use super::{end_with_parent, now, random_seed, wait};
+use super::{end_with_parent, now, wait};
 use blastema_core::Instant;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{
