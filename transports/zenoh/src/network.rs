@@ -19,7 +19,9 @@
 //! frames prove is the seal's business.
 
 use crate::ends::{CHUNK, Ends, is_chunk, on_own_thread, unopened};
-use blastema::medium::{Bytes, FrameLane, FrameMedium, MediumAddress, MediumEvent, OpenedMedium, SendResult};
+use blastema::medium::{
+    Bytes, FrameLane, FrameMedium, MediumAddress, MediumEvent, OpenedMedium, SendResult,
+};
 use std::collections::VecDeque;
 use std::fmt;
 use std::io;
